@@ -4,6 +4,7 @@ The truth is drawn here, by formulas of this file, without any of the tested cod
 """
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,19 +16,14 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.config import MainDetectorConfig, OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.optical_axis.target_direction import (
-    MainDetector,
-    direction_angles,
-    observed_direction,
-    ranged_position,
-)
+from theodolite_calib.optical_axis.target_direction import direction_angles, observed_direction, ranged_position
 from theodolite_calib.samples.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
-DETECTOR = MainDetector(1.5, np.array([2e-4, -3e-4]))
+DETECTOR = MainDetectorConfig(focal_length_m=1.5, principal_x_m=2e-4, principal_z_m=-3e-4)
 DRAWS = 1000
 ZERO = np.zeros(3)
 
@@ -116,14 +112,16 @@ def test_derivatives_of_the_direction(seed: int) -> None:
     np.testing.assert_allclose(found, sigma_m**2 * of_point @ of_point.T, rtol=1e-6, atol=1e-20)
     principal_m = DETECTOR.principal_point_m
     of_focal_length = central_difference(
-        lambda f: direction_n(detector=MainDetector(float(f[0]), principal_m)), np.array([1.5]), 1e-5
+        lambda f: direction_n(detector=replace(DETECTOR, focal_length_m=float(f[0]))), np.array([1.5]), 1e-5
     )
-    of_principal = central_difference(lambda p: direction_n(detector=MainDetector(1.5, p)), principal_m, 1e-6)
+    of_principal = central_difference(
+        lambda p: direction_n(detector=replace(DETECTOR, principal_x_m=p[0], principal_z_m=p[1])), principal_m, 1e-6
+    )
     of_rotation = central_difference(lambda r: direction_n(rotation=float(r[0])), np.array([rho]), 1e-6)
     for wrong, by, sigma in (
-        (MainDetector(1.5, principal_m, focal_length_sigma_m=2e-4), of_focal_length, 2e-4),
-        (MainDetector(1.5, principal_m, principal_sigma_m=4e-6), of_principal, 4e-6),
-        (MainDetector(1.5, principal_m, rotation_sigma=1e-4), of_rotation, 1e-4),
+        (replace(DETECTOR, focal_length_sigma_m=2e-4), of_focal_length, 2e-4),
+        (replace(DETECTOR, principal_sigma_m=4e-6), of_principal, 4e-6),
+        (replace(DETECTOR, rotation_sigma_arcsec=1e-4 / ARCSEC), of_rotation, 1e-4),
     ):
         found = observed_direction(wrong, point_m, 0.0, rho, rotation_nm).image_covariance_n
         np.testing.assert_allclose(found, sigma**2 * by @ by.T, rtol=1e-5, atol=1e-18)

@@ -102,16 +102,13 @@ class TriangulationAdapter(NodeAdapter):
 
 def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:
     """Return ship_msgs/TargetDirection with a position and NaN as direction, and a message of a rejection, if any."""
-    unknown = np.full(3, np.nan)
     target = TargetEstimate(
-        time_ns=estimate.time_ns,
-        target_id=estimate.target_id,
-        direction_n=unknown,
-        covariance_n=np.full((3, 3), np.nan),
+        estimate.time_ns,
+        estimate.target_id,
+        estimate.status,
+        estimate.text,
         position_n=estimate.position_n,
         position_covariance_n=estimate.covariance_n,
-        status=estimate.status,
-        text=estimate.text,
     )
     published: list[OutputMessage] = [(POSITION_TOPIC, target_message(factory, target, ORIGIN_FRAME))]
     if estimate.rejection is not None:

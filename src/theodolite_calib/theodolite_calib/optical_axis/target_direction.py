@@ -13,34 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_estimation.parameters.theodolite_devices import MainDetectorOptics
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import SINGULAR_ELEVATION, rotation_from_angles
+from ship_geometry.mount.axes import AXES, SHIP, axis_geometry
 from ship_geometry.mount.image import Camera
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
-from ship_geometry.rotations import FloatArray, skew
-
-
-@dataclass(frozen=True)
-class MainDetector:
-    """Geometry of the detector in the main tube.
-
-    Attributes:
-        focal_length_m: focal length of the main tube.
-        principal_point_m: detector point (x0, z0) of the main axis, shape (2,).
-        focal_length_sigma_m: standard deviation of the focal length.
-        principal_sigma_m: standard deviation of each coordinate of the principal point.
-        rotation_sigma: standard deviation of the rotation of the detector, rad.
-    """
-
-    focal_length_m: float
-    principal_point_m: FloatArray
-    focal_length_sigma_m: float = 0.0
-    principal_sigma_m: float = 0.0
-    rotation_sigma: float = 0.0
-
-    @property
-    def camera(self) -> Camera:
-        """Detector and main tube as a :class:`Camera`."""
-        return Camera(self.focal_length_m, self.focal_length_sigma_m, self.principal_point_m)
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.model import axis_state_indices
+from theodolite_calib.optical_axis.output import PendingPointing
+from theodolite_calib.samples.samples import PointingEstimate, TargetEstimate, TargetSample
 
 
 @dataclass(frozen=True)
@@ -58,35 +42,21 @@ class ObservedDirection:
     by_turn_n: FloatArray
     image_covariance_n: FloatArray
 
-    def covariance_n(self, pointing_n: FloatArray) -> FloatArray:
-        """Return the covariance of the total error, rad².
-
-        Args:
-            pointing_n: covariance of the rotation vector of the main frame, rad², shape (3, 3).
-        """
-        covariance: FloatArray = self.by_turn_n @ pointing_n @ self.by_turn_n.T + self.image_covariance_n
-        return covariance
-
-
-def rotation_main_from_detector(detector_rotation: float) -> FloatArray:
-    """Return R(0, 0, ρ), main frame from detector, shape (3, 3)."""
-    return rotation_from_angles(0.0, 0.0, float(detector_rotation))
-
 
 def observed_direction(
-    detector: MainDetector, point_m: FloatArray, sigma_m: float, detector_rotation: float, rotation_nm: FloatArray
+    detector: MainDetectorOptics, point_m: FloatArray, sigma_m: float, detector_rotation: float, rotation_nm: FloatArray
 ) -> ObservedDirection:
     """Return the direction of a target from its image.
 
     Args:
-        detector: geometry of the detector.
+        detector: optics of the main tube and its detector.
         point_m: image point (x, z), shape (2,).
         sigma_m: standard deviation of each coordinate of the image point.
         detector_rotation: rotation ρ of the detector about the main axis, rad.
         rotation_nm: horizon from main frame, shape (3, 3).
     """
-    camera, point = detector.camera, np.asarray(point_m, dtype=float)[None]
-    rotation_nv = rotation_nm @ rotation_main_from_detector(detector_rotation)
+    camera, point = _camera(detector), np.asarray(point_m, dtype=float)[None]
+    rotation_nv = rotation_nm @ rotation_from_angles(0.0, 0.0, detector_rotation)
     direction_n = rotation_nv @ camera.directions(point)[0]
     by_point_n = rotation_nv @ camera.direction_by_point(point)[0]
     by_focal_length_n = rotation_nv @ camera.direction_by_focal_length(point)[0]
@@ -94,9 +64,13 @@ def observed_direction(
     image_covariance_n = (
         (sigma_m**2 + detector.principal_sigma_m**2) * by_point_n @ by_point_n.T
         + detector.focal_length_sigma_m**2 * np.outer(by_focal_length_n, by_focal_length_n)
-        + detector.rotation_sigma**2 * np.outer(by_rotation_n, by_rotation_n)
+        + (detector.rotation_sigma_arcsec * ARCSEC) ** 2 * np.outer(by_rotation_n, by_rotation_n)
     )
     return ObservedDirection(direction_n, -skew(direction_n), image_covariance_n)
+
+
+def _camera(detector: MainDetectorOptics) -> Camera:
+    return Camera(detector.focal_length_m, detector.focal_length_sigma_m, detector.principal_point_m)
 
 
 def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -157,3 +131,102 @@ def ranged_position(direction_n: FloatArray, range_m: float, coefficient: float)
         by_range_n=lowered_n - raised * upward_n,
         by_coefficient_n=-(range_m**2) * horizontal / (2.0 * EARTH_RADIUS_M) * upward_n,
     )
+
+
+class TargetOutput:
+    """Computes directions of targets from the pointing at the middle of their exposure.
+
+    Args:
+        config: parameters of the node.
+        filter_: filter of that configuration.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        self._config, self._filter, self._detector = config, filter_, config.main_detector
+
+    def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
+        """Return the path over the detector, m, of a target whose direction in n is constant, shape (m, 2).
+
+        If the target's direction rotates at a constant rate instead, the mean of the path changes only by terms of
+        second order, the products of this rotation and the mount's rotation.
+
+        Args:
+            sample: image of the target.
+            rotations_nm: horizon from main frame at m times, shape (m, 3, 3).
+            middle_nm: horizon from main frame at the middle, when the target is at its image point, shape (3, 3).
+        """
+        camera = _camera(self._detector)
+        rotation_mv = rotation_from_angles(0.0, 0.0, sample.detector_rotation)
+        seen_n = middle_nm @ rotation_mv @ camera.directions(sample.point_m[None])[0]
+        return camera.points(seen_n @ (rotations_nm @ rotation_mv))
+
+    def estimate(
+        self,
+        sample: TargetSample,
+        point_m: FloatArray,
+        pending: PendingPointing,
+        pointing: PointingEstimate,
+        status: Status,
+        text: str,
+    ) -> TargetEstimate:
+        """Return the direction of a target.
+
+        Args:
+            sample: image of the target.
+            point_m: detector point at the middle of the exposure, shape (2,).
+            pending: inputs of the pointing at that time.
+            pointing: pointing at that time.
+            status: status of the direction.
+            text: reason if the status is not VALID.
+        """
+        seen = observed_direction(
+            self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
+        )
+        covariance_n = seen.by_turn_n @ pointing.covariance_n @ seen.by_turn_n.T + seen.image_covariance_n
+        position = self._position(sample, pending, pointing, seen) if sample.has_range else ()
+        return TargetEstimate(sample.time_ns, sample.target_id, status, text, seen.direction_n, covariance_n, *position)
+
+    def _position(
+        self, sample: TargetSample, pending: PendingPointing, pointing: PointingEstimate, seen: ObservedDirection
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the position of a target relative to the ship's antenna, m, and its covariance, m².
+
+        Errors of ship, lever and air are states of the filter, so their joint covariance is used.
+        """
+        model, ship = self._filter.model, pending.ship
+        state = self._filter.propagate(pointing.state, sample.time_ns, ship.correlated_covariance_n)
+        errors = self._filter.sightings.geometry_errors(state.mean)
+        geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, *pending.sample.vector.tolist())
+        lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient
+        if "lever" in model.slices:
+            lever_m = lever_m + state.mean[model.slices["lever"]]
+        if "refraction" in model.slices:
+            coefficient += float(state.mean[model.slices["refraction"]][0])
+        lever_n = geometry.rotation_nd @ lever_m
+        place = ranged_position(seen.direction_n, sample.range_m, coefficient)
+
+        by_turn_n, lever_by_turn_n = place.by_direction_n @ seen.by_turn_n, -skew(lever_n)
+        axis_indices = axis_state_indices(model)
+        by_state_n = np.zeros((3, model.size))
+        by_state_n[:, axis_indices] = by_turn_n @ pointing.by_error_n
+        # The ship's error and time offset rotate the lever; deformation and axis errors do not.
+        ship_columns = np.r_[SHIP, AXES.stop : len(axis_indices)]
+        by_state_n[:, axis_indices[ship_columns]] += lever_by_turn_n @ pointing.by_error_n[:, ship_columns]
+        if "lever" in model.slices:
+            by_state_n[:, model.slices["lever"]] = geometry.rotation_nd
+        if "refraction" in model.slices:
+            by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
+
+        # Covariance of the pointing minus the states' part: noise of encoders and ship, unconfirmed steps, separations.
+        of_states_n = pointing.by_error_n @ state.covariance[np.ix_(axis_indices, axis_indices)] @ pointing.by_error_n.T
+        other_n = pointing.covariance_n - of_states_n
+        by_ship_noise_n = by_turn_n + lever_by_turn_n
+        covariance_n = (
+            by_state_n @ state.covariance @ by_state_n.T
+            + by_turn_n @ other_n @ by_turn_n.T
+            + ship.noise * (by_ship_noise_n @ by_ship_noise_n.T - by_turn_n @ by_turn_n.T)
+            + place.by_direction_n @ seen.image_covariance_n @ place.by_direction_n.T
+            + sample.range_sigma_m**2 * np.outer(place.by_range_n, place.by_range_n)
+            + self._config.air.light_sigma**2 * np.outer(place.by_coefficient_n, place.by_coefficient_n)
+        )
+        return lever_n + place.path_n, 0.5 * (covariance_n + covariance_n.T)

@@ -126,6 +126,25 @@ class BaselineSample(VectorSample):
         return super().content() + self.covariance_n.tobytes() + repr(self.rejection).encode()
 
 
+class _Image:
+    """Image whose exposure has a known duration ``exposure_s``, or 0."""
+
+    covariance_known: ClassVar[bool] = True
+    """True for every image; ``ReadMessage`` records on reception whether the message states its sigma."""
+
+    exposure_s: float
+
+    @cached_property
+    def nodes(self) -> Nodes | None:
+        """Times for means over the exposure; None if its duration is unknown."""
+        return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
+
+    @cached_property
+    def reach_ns(self) -> int:
+        """Time before and after the middle over which the rotation of telescope and ship must be known, ns."""
+        return 0 if self.nodes is None else self.nodes.reach_ns
+
+
 @dataclass(frozen=True)
 class DetectedBeacon:
     """Beacon detected on the detector.
@@ -142,7 +161,7 @@ class DetectedBeacon:
 
 
 @dataclass(frozen=True)
-class Exposure:
+class Exposure(_Image):
     """One image of the calibration telescope.
 
     Attributes:
@@ -152,22 +171,10 @@ class Exposure:
     """
 
     source: ClassVar[str] = "beacons"
-    covariance_known: ClassVar[bool] = True
-    """True for every exposure; ``ReadMessage`` records on reception whether the message states its sigma."""
 
     time_ns: int
     beacons: tuple[DetectedBeacon, ...]
     exposure_s: float = 0.0
-
-    @cached_property
-    def nodes(self) -> Nodes | None:
-        """Times for means over the exposure; None if its duration is unknown."""
-        return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
-
-    @cached_property
-    def reach_ns(self) -> int:
-        """Time before and after the middle over which the rotation of telescope and ship must be known, ns."""
-        return 0 if self.nodes is None else self.nodes.reach_ns
 
     def content(self) -> bytes:
         """Return all values as bytes, to detect repeated messages and to order conflicting messages."""
@@ -184,7 +191,7 @@ AnyExposure = Exposure | StarExposure
 
 
 @dataclass(frozen=True)
-class TargetSample:
+class TargetSample(_Image):
     """One image of a target on the main detector.
 
     Attributes:
@@ -199,8 +206,6 @@ class TargetSample:
     """
 
     source: ClassVar[str] = "target"
-    covariance_known: ClassVar[bool] = True
-    """True for every image, as in :class:`Exposure`."""
 
     time_ns: int
     target_id: str
@@ -210,16 +215,6 @@ class TargetSample:
     detector_rotation: float
     range_m: float
     range_sigma_m: float
-
-    @cached_property
-    def nodes(self) -> Nodes | None:
-        """Times for means over the exposure; None if its duration is unknown."""
-        return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
-
-    @property
-    def reach_ns(self) -> int:
-        """Time before and after the middle over which the rotation of the main frame must be known, ns."""
-        return 0 if self.nodes is None else self.nodes.reach_ns
 
     @property
     def has_range(self) -> bool:
@@ -239,22 +234,22 @@ class TargetEstimate:
     Attributes:
         time_ns: time of the image.
         target_id: name of the target.
+        status: status of the direction.
+        text: reason if the status is not VALID.
         direction_n: unit vector from the theodolite's centre to the target, shape (3,).
         covariance_n: covariance of the direction's total error, zero along the direction, rad², shape (3, 3).
         position_n: position from the ship's antenna, m, shape (3,).
         position_covariance_n: covariance of the position's total error, m², shape (3, 3).
-        status: status of the direction.
-        text: reason if the status is not VALID.
     """
 
     time_ns: int
     target_id: str
-    direction_n: FloatArray
-    covariance_n: FloatArray
-    position_n: FloatArray
-    position_covariance_n: FloatArray
     status: Status
     text: str
+    direction_n: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    covariance_n: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
+    position_n: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    position_covariance_n: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
 
 
 @dataclass(frozen=True)
@@ -315,22 +310,9 @@ class PointingEstimate:
 
 @dataclass(frozen=True)
 class PointingSeries:
-    """Pointings of the main axis at N times from one state; the fields have the meaning of :class:`PointingEstimate`.
+    """Pointings of the main axis at N times in ascending order, from one state.
 
-    Attributes:
-        time_ns: stamps in ascending order, shape (N,).
-        rotation_nm: shape (N, 3, 3).
-        covariance_by_source_n: shape (N, n_sources, 3, 3).
-        covariance_n: shape (N, 3, 3).
-        covariance_without_separation_n: shape (N, 3, 3).
-        rotation_nt: shape (N, 3, 3).
-        mode: shape (N,).
-        status: N statuses.
-        light_count: shape (N,).
-        state: state of the filter.
-        text: N texts.
-        by_error_n: shape (N, 3, k).
-        rotation_dm: shape (N, 3, 3).
+    The fields have the meaning of :class:`PointingEstimate`, with a leading axis of N except for ``state``.
     """
 
     time_ns: StampArray
@@ -354,21 +336,9 @@ class PointingSeries:
 
     def estimate(self, index: int) -> PointingEstimate:
         """Return one pointing of the series."""
-        return PointingEstimate(
-            time_ns=int(self.time_ns[index]),
-            rotation_nm=self.rotation_nm[index],
-            covariance_by_source_n=self.covariance_by_source_n[index],
-            covariance_n=self.covariance_n[index],
-            covariance_without_separation_n=self.covariance_without_separation_n[index],
-            rotation_nt=self.rotation_nt[index],
-            mode=Mode(self.mode[index]),
-            status=self.status[index],
-            light_count=int(self.light_count[index]),
-            state=self.state,
-            text=self.text[index],
-            by_error_n=self.by_error_n[index],
-            rotation_dm=self.rotation_dm[index],
-        )
+        values = {name: value if name == "state" else value[index] for name, value in vars(self).items()}
+        numbers = {"time_ns": int(values["time_ns"]), "light_count": int(values["light_count"])}
+        return PointingEstimate(**values | numbers | {"mode": Mode(values["mode"])})
 
 
 @dataclass

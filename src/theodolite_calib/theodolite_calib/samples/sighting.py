@@ -96,13 +96,9 @@ class SightingAssembler:
 
     def assemble(self, exposure: Exposure) -> AssembledSighting:
         """Return the sighting of an exposure, or its rejection."""
-        ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
-        if encoder is None:
-            gap = Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
-            return AssembledSighting(None, gap, ())
-        if ship is None:
-            gap = Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
-            return AssembledSighting(None, gap, ())
+        axes = self._tracks.axes_at(exposure.time_ns)
+        if isinstance(axes, Rejection):
+            return AssembledSighting(None, axes, ())
         found: list[tuple[DetectedBeacon, BeaconAt]] = []
         rejected: list[tuple[str, Rejection]] = []
         for light in exposure.beacons:
@@ -123,8 +119,7 @@ class SightingAssembler:
                 np.array([placed.rotation_nb for _, placed in found]),
                 np.zeros((len(found), 3, 3)),
             ),
-            ship,
-            encoder,
+            *axes,
         )
         jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
@@ -148,9 +143,9 @@ class SightingAssembler:
         angles = np.array([[encoder.azimuth, encoder.elevation] for encoder in encoders if encoder is not None])
         if min(len(attitudes), len(angles)) < len(times_ns):
             return None
-        ship, encoder = tracks.ship_at(sighting.time_ns, nodes), tracks.encoder_at(sighting.time_ns, nodes)
-        assert ship is not None  # the nodes include the middle
-        assert encoder is not None
+        axes = tracks.axes_at(sighting.time_ns, nodes)
+        assert not isinstance(axes, Rejection)  # the nodes include the middle
+        ship, encoder = axes
         velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
         since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
         lever_change_n = (attitudes - ship.rotation_nd) @ lever_m
@@ -209,23 +204,19 @@ def star_sighting(
     """
     time_ns, camera_id = exposure.time_ns, exposure.source.partition(".")[2]
     nodes = None if exposure.length is None else exposure.length.nodes
-    ship, encoder = tracks.ship_at(time_ns), tracks.encoder_at(time_ns)
-    if encoder is None:
-        return Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
-    if ship is None:
-        return Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
+    axes = tracks.axes_at(time_ns)
+    if isinstance(axes, Rejection):
+        return axes
     if exposure.length is None or nodes is None:
-        return StarSighting(camera_id, exposure, ship, encoder)
-    axes = AxisErrors.from_vector(config.axes.values)
-    turned_nm = tracks.main_axis_at([moment_ns for moment_ns, _ in nodes.times_and_weights(time_ns)], axes)
+        return StarSighting(camera_id, exposure, *axes)
+    turned_nm = tracks.main_axis_over(time_ns, nodes, AxisErrors.from_vector(config.axes.values))
     if turned_nm is None:
         length_s = exposure.length.exposure_s
         text = f"no encoder readings or attitudes of the ship over the whole exposure of {length_s:g} s"
         return Rejection(Reason.GAP, text)
-    ship, encoder = tracks.ship_at(time_ns, nodes), tracks.encoder_at(time_ns, nodes)
-    assert ship is not None  # as at the nodes
-    assert encoder is not None
+    axes = tracks.axes_at(time_ns, nodes)
+    assert not isinstance(axes, Rejection)  # as at the nodes
     rotation_sm = rotation_from_angles(*config.telescopes[camera_id].parallelism)
     turned_ns = turned_nm @ rotation_sm.T
     turns = np.swapaxes(turned_ns, -1, -2) @ turned_ns[nodes.offset_ns.index(0)]
-    return StarSighting(camera_id, reduce_to_mid_exposure(exposure, turns), ship, encoder)
+    return StarSighting(camera_id, reduce_to_mid_exposure(exposure, turns), *axes)

@@ -333,8 +333,24 @@ class MeasuredTracks:
         noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
 
-    def main_axis_at(self, times_ns: list[int], axes: AxisErrors) -> FloatArray | None:
-        """Return horizon from main frame at m times, with given axis errors, shape (m, 3, 3); None in a gap."""
+    def axes_at(self, time_ns: int, nodes: Nodes | None = None) -> tuple[ShipAt, EncoderAt] | Rejection:
+        """Return ship and encoders at the middle of an exposure, or a rejection; for ``nodes`` see :meth:`ship_at`."""
+        ship, encoder = self.ship_at(time_ns, nodes), self.encoder_at(time_ns, nodes)
+        if encoder is None:
+            return Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
+        if ship is None:
+            return Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
+        return ship, encoder
+
+    def main_axis_over(self, time_ns: int, nodes: Nodes, axes: AxisErrors) -> FloatArray | None:
+        """Return horizon from main frame at the nodes of an exposure, shape (m, 3, 3); None in a gap.
+
+        Args:
+            time_ns: middle of the exposure.
+            nodes: times within the exposure.
+            axes: axis errors.
+        """
+        times_ns = [node_ns for node_ns, _ in nodes.times_and_weights(time_ns)]
         ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
         rotations_nm = [
             ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
