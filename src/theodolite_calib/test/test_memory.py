@@ -16,7 +16,7 @@ from theodolite_calib.optical_axis.memory import (
     propagate_memory,
     start_from_memory,
 )
-from theodolite_calib.optical_axis.streams import StreamJump, stuck_encoder_jump
+from theodolite_calib.optical_axis.streams import STUCK_SIGMA_RAD, StreamJump
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
 
@@ -130,7 +130,6 @@ def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:
     elevation = sighting.encoder.elevation
     assert sigma == pytest.approx(300.0 * np.cos(elevation), rel=0.15)
     assert np.sqrt(jump.covariance_n[0, 0]) / ARCSEC == pytest.approx(300.0, rel=0.01)
-    unknown = memory_residuals(
-        FILTER, propagate_memory(FILTER, state, [stuck_encoder_jump(0)], sighting.time_ns), sighting
-    )
+    stuck = StreamJump(EncoderJump(0, np.zeros(2), STUCK_SIGMA_RAD))
+    unknown = memory_residuals(FILTER, propagate_memory(FILTER, state, [stuck], sighting.time_ns), sighting)
     assert np.min(np.diagonal(unknown[sighting.names[0]].expected)) > np.deg2rad(5.0) ** 2

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.filter.model import ship_error_step, with_step
+from ship_testing.simulated_session import config
+from theodolite_calib.filter.model import ShipErrorProcess, ShipErrorStep, ship_error_steps, state_model
 
 
 def covariance(north: float, up: float, east: float) -> np.ndarray:
     return np.diag((ARCSEC * np.array([north, up, east])) ** 2)
+
+
+def ship_error_step(previous_n: np.ndarray, stated_n: np.ndarray) -> ShipErrorStep | None:
+    steps = ship_error_steps(previous_n, stated_n[None])
+    return None if steps is None else ShipErrorStep(steps.retained[0], steps.added_n[0])
 
 
 def test_small_changes_are_left_to_the_process() -> None:
@@ -44,17 +50,19 @@ def test_the_first_covariance_is_all_new() -> None:
     assert step.added_n == pytest.approx(covariance(1.4, 1.8, 1.4), abs=1e-30)
 
 
-def test_step_changes_nothing_in_place() -> None:
-    step = ship_error_step(covariance(10.0, 72.0, 10.0), covariance(2.0, 2.0, 2.0))
+def test_step_of_mean_and_covariance() -> None:
+    settings = config()
+    model = state_model(settings)
+    process, size = ShipErrorProcess(settings, model), len(model.sources)
+    previous_n, stated_n = covariance(10.0, 72.0, 10.0), covariance(2.0, 2.0, 2.0)
+    root = np.random.default_rng(7).standard_normal((size, model.size, model.size))
+    parts, mean = root @ root.transpose(0, 2, 1), np.arange(1.0, model.size + 1.0)
+    after, after_mean = parts.copy(), mean.copy()
+    step = process.apply_stated_covariance(after_mean, after, np.ones(3), previous_n, stated_n)
     assert step is not None
-    root = np.random.default_rng(7).standard_normal((2, 5, 5))
-    parts, mean = root @ root.transpose(0, 2, 1), np.arange(1.0, 6.0)
-    before = parts.copy(), mean.copy()
-    after_mean, after = with_step(mean, parts, slice(1, 4), 1, step)
-    keep = np.diag([1.0, *step.retained, 1.0])
+    columns, keep = process.columns, np.eye(model.size)
+    keep[columns, columns] = np.diag(step.retained)
     expected = keep @ parts @ keep
-    expected[1, 1:4, 1:4] += step.added_n
+    expected[process.source_index, columns, columns] += step.added_n
     assert after == pytest.approx(expected)
     assert after_mean == pytest.approx(keep @ mean)
-    assert (parts == before[0]).all()
-    assert (mean == before[1]).all()

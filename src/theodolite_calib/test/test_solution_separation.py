@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, integrity_of
+from theodolite_calib.optical_axis.output import PendingPointing, PointingLevels, PointingOutput
 from theodolite_calib.samples.samples import EncoderSample, Exposure, PointingEstimate
 
 SEEDS = 8
@@ -85,9 +85,10 @@ def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
     assert np.trace(one.covariance_n) > 2.0 * np.trace(one.covariance_without_separation_n)
     assert one.covariance_by_source_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
     plain = replace(one, covariance_n=one.covariance_without_separation_n)
-    report, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
+    report, expected = (PointingLevels(FILTER, SETTINGS, each.state).integrity_of(each) for each in (one, plain))
     np.testing.assert_array_equal(report.statistic, expected.statistic)
     np.testing.assert_array_equal(report.level, expected.level)
     assert np.all(np.isfinite(report.level))
-    less = integrity_of(FILTER, SETTINGS, replace(one, covariance_without_separation_n=one.covariance_n))
+    lower = replace(one, covariance_without_separation_n=one.covariance_n)
+    less = PointingLevels(FILTER, SETTINGS, lower.state).integrity_of(lower)
     assert np.any(less.level > report.level)

@@ -22,7 +22,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force_option, check_file, write_csv
 from ship_bags.topic_names import add_bag_name_options
 from ship_estimation.kalman.kalman_filter import StateModel
-from ship_estimation.rejection_rules import Reason
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import direction_change
 from ship_geometry.mount.line_of_sight import covariance_by_source
@@ -208,7 +208,7 @@ def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecis
     """Return the sighting of an exposure; None unless all lights, at least two, were used and give an attitude."""
     sighting = core.streams.sightings.assemble(exposure).sighting
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts
-    if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
+    if isinstance(sighting, Rejection) or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None
     # Camera and lines of sight are those of the configuration: estimates of the filter must not enter a sighting.
     filter_, telescope = core.filter, core.config.telescope

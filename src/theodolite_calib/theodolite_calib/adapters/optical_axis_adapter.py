@@ -270,8 +270,7 @@ class OpticalAxisAdapter(RecoveringAdapter):
 
     def no_output(self, now_ns: int, text: str) -> PointingEstimate:
         """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
-        core: OpticalAxisCore = self.core
-        return invalid_pointing(core.filter, core.state, now_ns, text)
+        return invalid_pointing(self.core.filter, self.core.state, now_ns, text)
 
     @property
     def source_timeouts_s(self) -> Mapping[str, float]:

@@ -26,13 +26,6 @@ ORIGIN_FRAME = "triangulation_origin"
 _STALE_NS = 10_000_000_000
 """Maximum age of a position that is reported as current, ns."""
 
-_LEVELS = {
-    Status.VALID: Level.OK,
-    Status.COASTING: Level.WARN,
-    Status.DEGRADED: Level.WARN,
-    Status.INVALID: Level.WARN,
-}
-
 
 class TriangulationAdapter(NodeAdapter):
     """Positions of targets from the directions of several theodolites.
@@ -80,24 +73,22 @@ class TriangulationAdapter(NodeAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return the status of the last position."""
-        return [self._position_status(waiting_ns)]
-
-    def _position_status(self, waiting_ns: int) -> DiagnosticStatus:
         values = {"clock jumps back": str(self.clock_jumps)}
         last: PositionEstimate | None = self.latest
         if last is None or self._published_ns is None:
-            return DiagnosticStatus("position", Level.OK, "no position yet", values)
+            return [DiagnosticStatus("position", Level.OK, "no position yet", values)]
         if waiting_ns - self._published_ns > _STALE_NS:
             # The level is OK, because possibly no theodolite has a target in view.
             text = f"no position for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, the last {last.status.name}"
-            return DiagnosticStatus("position", Level.OK, text, values)
+            return [DiagnosticStatus("position", Level.OK, text, values)]
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
         if last.status is not Status.INVALID:
             values["sigma in space (m)"] = f"{np.sqrt(np.trace(last.covariance_n)):.3g}"
         if last.triangulated is not None:
             values["chi-square"] = f"{last.triangulated.chi_square:.2f} of {last.triangulated.gate:.2f} at most"
         text = f"{last.status.name}: {last.text or 'by ' + ', '.join(last.stations)}"
-        return DiagnosticStatus("position", _LEVELS[last.status], text, values)
+        level = Level.OK if last.status is Status.VALID else Level.WARN
+        return [DiagnosticStatus("position", level, text, values)]
 
 
 def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import FloatArray, angle_between
@@ -370,16 +371,15 @@ class EscortAdvisor:
         if self._advised_ns is not None and time_ns - self._advised_ns < period_ns:
             return None
         names = self._usable_drones(estimate)
-        ship, encoder = self._tracks.ship_at(time_ns), self._tracks.encoder_at(time_ns)
-        if not names or ship is None or encoder is None:
+        axes = self._tracks.axes_at(time_ns)
+        if not names or isinstance(axes, Rejection):
             return None
         samples = {name: sample for name in names if (sample := self._newest_baseline(name, time_ns)) is not None}
         now_n = {name: sample.vector for name, sample in samples.items()}
         accuracy = BeaconAccuracy(
             self._config,
             self._filter,
-            ship,
-            encoder,
+            *axes,
             estimate.state.mean,
             {name: sample.covariance_n for name, sample in samples.items()},
         )

@@ -170,8 +170,8 @@ class CalibrationFilter:
         parts = propagate_covariance(state.covariance_by_source, decay, noise, self.model.source_of)
         mean, ship_covariance_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
-        mean, parts, step = self.ship_error.apply_stated_covariance(
-            mean, parts, ship, decay[ship], ship_covariance_n, new_ship_covariance_n
+        step = self.ship_error.apply_stated_covariance(
+            mean, parts, decay[ship], ship_covariance_n, new_ship_covariance_n
         )
         unaided = self.observability.propagate(state.observability, dt_s, ship_covariance_n)
         if step is not None:

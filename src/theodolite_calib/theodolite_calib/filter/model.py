@@ -188,7 +188,7 @@ class ShipErrorProcess:
 
     Between two messages the error is a Gauss–Markov process with the stated covariance as its stationary covariance. If
     a stated variance changes by more than a factor of two, for example because stars became available, the error has a
-    step, axis by axis (:func:`ship_error_step`).
+    step, axis by axis (:func:`ship_error_steps`).
 
     Args:
         config: parameters of the node.
@@ -223,59 +223,34 @@ class ShipErrorProcess:
         self,
         mean: FloatArray,
         parts: FloatArray,
-        columns: slice,
         decay: FloatArray,
         previous_n: FloatArray | None,
         stated_n: FloatArray | None,
         source_index: int | None = None,
-    ) -> tuple[FloatArray, FloatArray, ShipErrorStep | None]:
-        """Apply the stated covariance to a propagated state; return mean, covariance by source and the step, or None.
+    ) -> ShipErrorStep | None:
+        """Apply the stated covariance to a propagated state, in place; return the step of the error, or None.
 
         Args:
             mean: mean of the state, shape (..., n).
             parts: covariance by source, shape (..., n_sources, n, n), decayed and without the noise of the ship's
-                error; changed in place.
-            columns: slice of the ship's error in ``mean`` and ``parts``.
+                error.
             decay: decay factors of the error over the propagation time, shape (3,).
-            previous_n: previously stated covariance, rad², shape (3, 3), or None.
-            stated_n: newly stated covariance, or None.
+            previous_n: previously stated covariance, rad², shape (3, 3); None adds no noise.
+            stated_n: newly stated covariance; None gives no step.
             source_index: index of the ship's error source in ``parts``; None for the filter's ``source_index``.
         """
-        source_index = self.source_index if source_index is None else source_index
-        add_stationary_noise(parts, columns, source_index, decay, previous_n)
-        step = ship_error_step(previous_n, stated_n)
-        if step is not None:
-            mean, parts = with_step(mean, parts, columns, source_index, step)
-        return mean, parts, step
-
-
-def add_stationary_noise(
-    parts: FloatArray, columns: slice, source_index: int, decay: FloatArray, stationary_n: FloatArray | None
-) -> None:
-    """Add in place the noise that keeps the ship's error at its stationary covariance.
-
-    Args:
-        parts: decayed covariance by source, shape (..., n_sources, n, n).
-        columns: slice of the ship's error in ``parts``.
-        source_index: index of the ship's error source.
-        decay: decay factors of the error over the propagation time, shape (3,).
-        stationary_n: stationary covariance, rad², shape (3, 3); None adds no noise.
-    """
-    if stationary_n is not None:
-        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * stationary_n
-
-
-def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) -> ShipErrorStep | None:
-    """Return the step from one stated covariance to another, rad², shape (3, 3) each; None without a step.
-
-    Args:
-        previous_n: previously stated covariance; None counts as zero.
-        stated_n: newly stated covariance; None gives no step.
-    """
-    if stated_n is None:
-        return None
-    steps = ship_error_steps(previous_n, stated_n[None])
-    return None if steps is None else ShipErrorStep(steps.retained[0], steps.added_n[0])
+        columns, source_index = self.columns, self.source_index if source_index is None else source_index
+        if previous_n is not None:
+            parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * previous_n
+        steps = None if stated_n is None else ship_error_steps(previous_n, stated_n[None])
+        if steps is None:
+            return None
+        (retained,), (added_n,) = steps.retained, steps.added_n
+        mean[..., columns] *= retained
+        parts[..., columns, :] *= retained[:, None]
+        parts[..., columns] *= retained
+        parts[..., source_index, columns, columns] += added_n
+        return ShipErrorStep(retained, added_n)
 
 
 def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> ShipErrorStep | None:
@@ -307,23 +282,3 @@ def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> Shi
     return ShipErrorStep(
         np.where(has_no_step[:, None], 1.0, retained), np.where(has_no_step[:, None, None], 0.0, new_n)
     )
-
-
-def with_step(
-    mean: FloatArray, parts: FloatArray, columns: slice, source_index: int, step: ShipErrorStep
-) -> tuple[FloatArray, FloatArray]:
-    """Return state and covariance by source after the step; the arguments are not changed.
-
-    Args:
-        mean: mean of the state, shape (..., n).
-        parts: covariance by source, shape (..., n_sources, n, n).
-        columns: slice of the ship's error.
-        source_index: index of the ship's error source.
-        step: step of the ship's error.
-    """
-    mean, parts = mean.copy(), parts.copy()
-    mean[..., columns] *= step.retained
-    parts[..., columns, :] *= step.retained[:, None]
-    parts[..., columns] *= step.retained
-    parts[..., source_index, columns, columns] += step.added_n
-    return mean, parts

@@ -126,7 +126,9 @@ class SightingModel:
             self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
         )
         rotation_nt, by_parallelism = telescope_rotation(self.parallelism(mean), geometry.rotation_nm)
-        setup = self._beacon_setup(sighting.names)
+        setup = self._beacon_setups.get(sighting.names)
+        if setup is None:
+            setup = self._beacon_setups[sighting.names] = _BeaconSetup(self._config, self._model, sighting.names)
         lines = self._lines(mean, sighting, geometry, setup)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
@@ -142,7 +144,10 @@ class SightingModel:
             self._model.slices["focal_length"].start,
             setup.couplings,
         )
-        self._add_ship_time_offset(jacobian, by_error[..., SHIP_ROTATION], geometry)
+        if "ship.time_offset" in self._model.slices:
+            # The ship's time offset also moves the theodolite relative to the antenna.
+            by_turn = by_error[..., SHIP_ROTATION].reshape(rows, 3)
+            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ geometry.by_error[:, SHIP_TIME]
         parts_n = np.array([encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T), ship.noise * _UNIT])
         encoder_noise, ship_noise = compiled_pointing.covariances_by_rotation(by_attitude_n, parts_n)
         noise = {
@@ -182,18 +187,6 @@ class SightingModel:
         return lines_of_sight(
             beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), corrected_survey
         )
-
-    def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
-        """Return the setup of beacons with these names, which is created once."""
-        if names not in self._beacon_setups:
-            self._beacon_setups[names] = _BeaconSetup(self._config, self._model, names)
-        return self._beacon_setups[names]
-
-    def _add_ship_time_offset(self, jacobian: FloatArray, by_ship_rotation: FloatArray, geometry: AxisGeometry) -> None:
-        """Add the effect of the ship's time offset on the position of the theodolite relative to the antenna."""
-        if "ship.time_offset" in self._model.slices:
-            by_turn = by_ship_rotation.reshape(len(jacobian), 3)
-            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ geometry.by_error[:, SHIP_TIME]
 
     def _state_block(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
         """Return a block of the state; zeros if the filter has no such state."""
@@ -247,9 +240,7 @@ class _BeaconSetup:
                 (light, column, row)
                 for light, term, state in effects
                 if state in model.slices
-                for column, row in zip(
-                    _column_numbers(TERM_COLUMNS[term]), _column_numbers(model.slices[state]), strict=True
-                )
+                for column, row in zip(_numbers(TERM_COLUMNS[term]), _numbers(model.slices[state]), strict=True)
             ],
             dtype=np.intp,
         )
@@ -267,14 +258,12 @@ class _BeaconSetup:
 def _state_indices(model: StateModel, state: str, width: int) -> list[int]:
     """Return the indices of a state; if it does not exist, the index of a zero appended to all states."""
     columns = model.slices.get(state)
-    return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
+    return [model.size] * width if columns is None else list(_numbers(columns))
 
 
 def _corrected_lever(lever: LeverArm, error_m: FloatArray) -> LeverArm:
-    """Return a lever arm corrected by its estimated error."""
     return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 
 
-def _column_numbers(columns: slice) -> range:
-    """Return the column numbers of a slice."""
+def _numbers(columns: slice) -> range:
     return range(columns.start, columns.stop)

@@ -153,8 +153,8 @@ class AxisSubfilters(SubfilterTable):
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
         parts = propagate_covariance(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
-        mean, parts, _ = self._ship_error.apply_stated_covariance(
-            mean, parts, ship, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
+        self._ship_error.apply_stated_covariance(
+            mean, parts, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
         )
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
         return SubfilterStates(later_ns, mean, parts, new_ship_covariance_n)
@@ -182,16 +182,11 @@ class AxisSubfilters(SubfilterTable):
             add_unknown_change(parts, self._states[name], source_index, _UNKNOWN_CHANGE_SIGMA[name])
         return parts
 
-    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
+    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> _MeasurementPattern:
         """Return the pattern for beacons with these names, which is created once."""
         key = names, excluded, probability
-        if key not in self._patterns:
-            self._patterns[key] = self._new_pattern(names, excluded, probability)
-        return self._patterns[key]
-
-    def _new_pattern(
-        self, names: tuple[str, ...], excluded: frozenset[str], probability: float
-    ) -> "_MeasurementPattern":
+        if key in self._patterns:
+            return self._patterns[key]
         unknown = excluded & self._states.keys()
         has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.names)]
         uses = np.ones((self.count, 2 * len(names)), dtype=bool)
@@ -201,12 +196,13 @@ class AxisSubfilters(SubfilterTable):
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
         conditioning = uses & np.array(has_unknown_states)[:, None] & others
         degrees = np.count_nonzero(uses[1:], axis=1).tolist()
-        return _MeasurementPattern(
+        pattern = self._patterns[key] = _MeasurementPattern(
             uses=uses[1:].astype(np.uint8),
             conditioning=conditioning.astype(np.uint8),
             updated_states=np.ones((len(self.names), self._model.size), dtype=np.uint8),
             gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
         )
+        return pattern
 
     def update_by_beacons(
         self,
@@ -227,10 +223,8 @@ class AxisSubfilters(SubfilterTable):
             excluded: excluded sources, which no subfilter uses.
             probability: probability of the gate.
         """
-        pattern, parts = (
-            self._pattern(names, frozenset(excluded), probability),
-            np.ascontiguousarray(subfilters.covariances[:, 0]),
-        )
+        pattern = self._pattern(names, frozenset(excluded), probability)
+        parts = np.ascontiguousarray(subfilters.covariances[:, 0])
         residual, gain, nis, whitened_innovation = compiled_kalman.beacon_innovations(
             subfilters.mean - main_filter[0],
             parts,

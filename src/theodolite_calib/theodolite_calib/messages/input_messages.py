@@ -112,7 +112,8 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     if total_n is None:
-        slow_n = _ins_covariance(config)
+        tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
+        slow_n = np.diag([tilt**2, heading**2, tilt**2])
     else:
         (slow_n,) = without_white(total_n[None], config.ship.white_sigma_arcsec)
     sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
@@ -200,15 +201,14 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     check_frame(message.header.frame_id, detector.frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     check_finite("x, z, detector_rotation", message.x, message.z, message.detector_rotation)
-    if max(abs(message.x), abs(message.z)) > _LARGEST_DETECTOR_M:
-        raise MessageRejected(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
+    point_m = _detector_point_m(message)
     if abs(message.detector_rotation) > 2.0 * np.pi:
         raise MessageRejected(Reason.UNITS, f"detector_rotation {message.detector_rotation:.6g}: expected radians")
     sigma = optional_sigma(message.sigma, _LARGEST_DETECTOR_M)
     sample = TargetSample(
         time_ns=time_ns,
         target_id=shorten(message.target_id, LONGEST_TARGET_ID),
-        point_m=np.array([message.x, message.z]),
+        point_m=point_m,
         sigma_m=sigma or detector.sigma_m,
         exposure_s=exposure_s,
         detector_rotation=float(message.detector_rotation),
@@ -248,11 +248,15 @@ def _detected_beacon(sighting: Any, names: list[str], config: OpticalAxisConfig)
     if names.count(name) > 1:
         raise MessageRejected(Reason.CONFLICT, f"{quoted_id(name)} is in one image {names.count(name)} times")
     check_finite("x, z", sighting.x, sighting.z)
-    if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
-        raise MessageRejected(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
-    sigma = optional_sigma(sighting.sigma, _LARGEST_DETECTOR_M)
-    point_m = np.array([sighting.x, sighting.z])
+    point_m, sigma = _detector_point_m(sighting), optional_sigma(sighting.sigma, _LARGEST_DETECTOR_M)
     return DetectedBeacon(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
+
+
+def _detector_point_m(message: Any) -> FloatArray:
+    """Return the point of a beacon or target on the detector (x, z), m, shape (2,)."""
+    if max(abs(message.x), abs(message.z)) > _LARGEST_DETECTOR_M:
+        raise MessageRejected(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
+    return np.array([message.x, message.z])
 
 
 def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
@@ -282,14 +286,8 @@ def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
     return slow_n
 
 
-def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:
-    """Return the configured covariance of the INS, for messages without a covariance."""
-    tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
-    return np.diag([tilt**2, heading**2, tilt**2])
-
-
 def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
-    """Read ``theodolite/encoder``; see :func:`theodolite_calib.messages.input_messages.encoder`."""
+    """Read ``theodolite/encoder``; see :func:`encoder`."""
     numbers = messages.numbers
     times_ns, good = stamps(numbers, receive_ns)
     angles = np.stack([numbers["azimuth"], numbers["elevation"]], axis=1)
@@ -307,7 +305,7 @@ def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfi
 
 
 def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
-    """Read ``ship/attitude`` with rates and covariances; see ``input_messages.ship_attitude``."""
+    """Read ``ship/attitude`` with rates and covariances; see :func:`ship_attitude`."""
     numbers = messages.numbers
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = unit_quaternions(numbers)
@@ -326,7 +324,7 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
 
 
 def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
-    """Read ``beacon/<id>/imu``; see :func:`theodolite_calib.messages.input_messages.drone_attitude`."""
+    """Read ``beacon/<id>/imu``; see :func:`drone_attitude`."""
     times_ns, timely = stamps(messages.numbers, receive_ns)
     quaternions, given = imu_quaternions(messages.numbers, beacon.imu.accept_unset_covariance)
     good = timely & given

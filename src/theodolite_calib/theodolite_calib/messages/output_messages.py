@@ -44,7 +44,6 @@ from theodolite_calib.samples.samples import PointingEstimate, PointingSeries, S
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
 
-
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
 SMOOTHED_POINTING_TOPIC = "theodolite/pointing_smoothed"
@@ -71,24 +70,14 @@ class PointingNumbers(NamedTuple):
     @classmethod
     def from_estimate(cls, estimate: PointingEstimate) -> "PointingNumbers":
         """Return the numbers of one pointing."""
-        return cls(
-            time_ns=np.array([estimate.time_ns]),
-            rotation_nm=estimate.rotation_nm[None],
-            covariance_n=estimate.covariance_n[None],
-            rotation_nt=estimate.rotation_nt[None],
-            mode=np.array([estimate.mode]),
-            status=[estimate.status],
-            light_count=np.array([estimate.light_count]),
-            rotation_dm=estimate.rotation_dm[None],
-        )
+        values: dict[str, Any] = {name: np.asarray(getattr(estimate, name))[None] for name in cls._fields}
+        return cls(**values | {"status": [estimate.status]})
 
     def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
         """Return the numbers of the pointings with given indices."""
-        return (
-            self
-            if len(indices) == len(self.time_ns)
-            else PointingNumbers(*(select_values(each, indices) for each in self))
-        )
+        if len(indices) == len(self.time_ns):
+            return self
+        return PointingNumbers(*(select_values(each, indices) for each in self))
 
 
 def pointing_messages(
@@ -236,12 +225,11 @@ def escort_message(
     factory: MessageFactory, advice: "EscortAdvice", time_ns: int, horizon: str = FRAME_NAMES.horizon
 ) -> Any:
     """Return ship_msgs/EscortAdvice for the pointing at a time; positions are NaN if no position meets the limits."""
-    places = (advice.places_n @ ENU_FROM_HORIZON.T).tolist()
     return factory.make(
         ESCORT_TYPE,
         header={"stamp": time_ns, "frame_id": horizon},
         beacon_ids=list(advice.names),
-        places=[dict(zip("xyz", place, strict=True)) for place in places],
+        places=[_enu(place_n) for place_n in advice.places_n],
         sigma_now=advice.sigma_now,
         sigma_advised=advice.sigma_advised,
         limits_reached=list(advice.limits_reached),

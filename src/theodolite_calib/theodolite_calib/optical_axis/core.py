@@ -88,7 +88,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.streams = MeasuredStreams(config, self._estimator)
         self.pointings = Pointings(config, self.filter, self._estimator, self.streams, sky, on_pointing)
         self.consistency = AxisConsistency(self._estimator, self.streams, self.pointings)
-        self._build_steps()
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> list[str]:
@@ -122,7 +121,13 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         """Discard all samples, waiting readings and images, and the states of the stream checks."""
         self.streams.reset()
         self.pointings.reset()
-        self.escort = _escort_advisor(self.config, self.filter, self.streams.tracks)
+        self._build_steps()
+        self.escort: EscortAdvisor | None = None
+        if self.config.escort.enabled:
+            # Imported here, because loading scipy's optimisers takes longer than the rest of the node.
+            from theodolite_calib.escort import advice
+
+            self.escort = advice.EscortAdvisor(self.config, self.filter, self.streams.tracks)
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply changed noise and gates; geometry and the set of beacons must not change."""
@@ -135,7 +140,11 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
 
     def _build_steps(self) -> None:
         self._step_to = SightingStep(
-            self.config, self.filter, self.streams.consistency, self.streams.has_ship_drifted, self.streams.faults
+            self.config,
+            self.filter,
+            self.streams.tracks.stream_consistency,
+            self.streams.tracks.has_ship_drifted,
+            self.streams.faults,
         )
         self._step_to_stars = None if self.sky_model is None else StarStep(self.config, self.filter, self.sky_model)
 
@@ -233,11 +242,10 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
                 return state, ExposureDecision(exposure, sighting.reason, text=sighting.text)
             return self._step_to_stars(state, sighting)
         assembled = self.streams.sightings.assemble(exposure)
-        if assembled.sighting is None:
-            assert assembled.rejection is not None
-            reason, text = assembled.rejection.reason, assembled.rejection.text
-            return state, ExposureDecision(exposure, reason, text=text, rejected_parts=assembled.rejected_beacons)
-        state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
+        if isinstance(assembled.sighting, Rejection):
+            decision = ExposureDecision(exposure, assembled.sighting.reason, text=assembled.sighting.text)
+        else:
+            state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
         return state, replace(decision, rejected_parts=assembled.rejected_beacons + decision.rejected_parts)
 
     def _inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
@@ -251,15 +259,3 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.streams.tracks.drop_before(time_ns)
         if self.sky_model is not None:
             self.sky_model.surroundings.drop_before(time_ns)
-
-
-def _escort_advisor(
-    config: OpticalAxisConfig, filter_: CalibrationFilter, tracks: MeasuredTracks
-) -> "EscortAdvisor | None":
-    """Return the advisor for the drones; None if advice is disabled."""
-    if not config.escort.enabled:
-        return None
-    # Imported here, because loading scipy's optimisers takes longer than the rest of the node.
-    from theodolite_calib.escort.advice import EscortAdvisor
-
-    return EscortAdvisor(config, filter_, tracks)

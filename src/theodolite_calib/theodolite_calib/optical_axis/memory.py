@@ -13,6 +13,7 @@ import numpy as np
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.recoverable_core import Consistency
+from ship_estimation.rejection_rules import Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.mount.axes import axis_geometry, telescope_rotation
 from ship_geometry.rotations import FloatArray
@@ -23,14 +24,6 @@ from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
 from theodolite_calib.samples.samples import Exposure, ExposureDecision
 from theodolite_calib.samples.sighting import Sighting
 from theodolite_calib.samples.tracks import EncoderAt, ShipAt
-
-
-def is_consistent(state: CalibrationState) -> bool:
-    """True if a state has used beacons or stars, and no source is excluded or inconsistent."""
-    fault_state = state.fault_state
-    return state.last_update_ns is not None and not (
-        state.consecutive_rejections or fault_state.excluded or fault_state.unresolved_fault is not None
-    )
 
 
 def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> CalibrationState:
@@ -155,10 +148,12 @@ class AxisConsistency(Consistency[CalibrationState, StreamJump]):
     @property
     def is_consistent(self) -> bool:
         """True after sightings of beacons or stars if no source is excluded, contradictory or unconfirmed."""
+        state, streams = self._estimator.state, self._streams
+        if state.last_update_ns is None or state.consecutive_rejections or state.fault_state.excluded:
+            return False
         now_ns = self._estimator.window.newest_ns
-        streams = self._streams
         unconfirmed_reason = streams.encoder_check.unconfirmed_reason or streams.unconfirmed_reason(now_ns)
-        return is_consistent(self._estimator.state) and not unconfirmed_reason
+        return state.fault_state.unresolved_fault is None and not unconfirmed_reason
 
     @property
     def has_unresolved_fault(self) -> bool:
@@ -175,7 +170,7 @@ class AxisConsistency(Consistency[CalibrationState, StreamJump]):
         if not isinstance(decision.measurement, Exposure):
             return {}
         sighting = self._streams.sightings.assemble(decision.measurement).sighting
-        if sighting is None:
+        if isinstance(sighting, Rejection):
             return {}
         found = memory_residuals(self._pointings.filter, memory, sighting)
         return {BEACON_PREFIX + name: residual for name, residual in found.items()}
@@ -184,12 +179,10 @@ class AxisConsistency(Consistency[CalibrationState, StreamJump]):
         self, state: CalibrationState, memory: CalibrationState, is_later: bool = False
     ) -> float:
         """Return the largest difference from a stored state, in joint standard deviations; inf in a gap of the data."""
-        time_ns = state.time_ns
-        ship = None if time_ns is None else self._streams.tracks.ship_at(time_ns)
-        encoder = None if time_ns is None else self._streams.tracks.encoder_at(time_ns)
-        if ship is None or encoder is None:
+        axes = None if state.time_ns is None else self._streams.tracks.axes_at(state.time_ns)
+        if axes is None or isinstance(axes, Rejection):
             return math.inf
-        return largest_difference_sigmas(self._pointings.filter, state, memory, ship, encoder, is_later)
+        return largest_difference_sigmas(self._pointings.filter, state, memory, *axes, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those beacons among ``sources`` from which no recent measurement was accepted."""

@@ -113,11 +113,6 @@ class PointingLevels:
         )
 
 
-def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
-    """Return the integrity of one pointing, from the filter's state in ``estimate``."""
-    return PointingLevels(filter_, config, estimate.state).integrity_of(estimate)
-
-
 _NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
 """Empty factors and added covariances, if the ship's error has no step."""
 

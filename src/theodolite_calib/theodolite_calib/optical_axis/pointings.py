@@ -7,6 +7,7 @@ The main axis follows from the estimated parallelism: R_main = R_camera · R(azi
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -81,21 +82,16 @@ def pointing_by_stars(
     covariance_by_source_n[model.source_indices[SOURCE_PARALLELISM]] += (
         by_angles_n @ state.covariance[block, block] @ by_angles_n.T
     )
-    unknown, covariance_n = np.full((3, 3), np.nan), covariance_by_source_n.sum(axis=0)
-    return PointingEstimate(
-        time_ns=exposure.time_ns,
+    covariance_n = covariance_by_source_n.sum(axis=0)
+    return replace(
+        invalid_pointing(filter_, state, exposure.time_ns, text),
         rotation_nm=solution.rotation_nb @ rotation_from_angles(azimuth, elevation, roll),
         covariance_by_source_n=covariance_by_source_n,
         covariance_n=covariance_n,
         covariance_without_separation_n=covariance_n,
-        rotation_nt=unknown,
         mode=Mode.STARS,
         status=Status.DEGRADED,
-        light_count=0,
-        state=state,
-        text=text,
         by_error_n=np.zeros((3, len(axis_state_indices(model)))),
-        rotation_dm=unknown,
     )
 
 

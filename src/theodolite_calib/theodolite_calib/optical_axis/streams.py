@@ -36,7 +36,6 @@ from theodolite_calib.samples.samples import (
     ShipSample,
 )
 from theodolite_calib.samples.sighting import SightingAssembler
-from theodolite_calib.samples.stream_consistency import StreamConsistency
 from theodolite_calib.samples.tracks import MeasuredTracks
 
 _STATED_STEP_SIGMAS = 5.0
@@ -70,7 +69,9 @@ class ShipCheck:
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; later samples will not be older than ``oldest_ns``."""
         self._accepted.drop_before(oldest_ns)
-        reported_step_rad = _stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n)
+        stated_n, before_n, reported_step_rad = sample.correlated_covariance_n, self._stated_covariance_n, 0.0
+        if stated_n is not None and before_n is not None:
+            reported_step_rad = _STATED_STEP_SIGMAS * math.sqrt(abs(float((stated_n - before_n).trace())))
         result = self._ins_check.check(sample, self._accepted, {}, reported_step_rad)
         if result.rates_wrong_after_ns is not None:
             self._accepted.drop_rates(result.rates_wrong_after_ns)
@@ -79,7 +80,7 @@ class ShipCheck:
             self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
         if result.rejection is None:
             if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
-                self._stated_covariance_n = sample.correlated_covariance_n
+                self._stated_covariance_n = stated_n
             known = self._accepted.get(sample.time_ns)
             if known is None or resolve_same_stamp(known, result.sample)[0]:
                 self._accepted.insert(result.sample)
@@ -96,13 +97,6 @@ class ShipCheck:
         return step.text if step is not None and time_ns > step.since_ns else ""
 
 
-def _stated_step_rad(covariance_n: FloatArray | None, before_n: FloatArray | None) -> float:
-    """Return the possible step of a source's attitude at a change of the stated covariance, rad."""
-    if covariance_n is None or before_n is None:
-        return 0.0
-    return _STATED_STEP_SIGMAS * math.sqrt(abs(float((covariance_n - before_n).trace())))
-
-
 def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
     """Return the configuration of the check, for the INS or for the fused attitude."""
     if config.ship.source == "ins/imu":
@@ -116,7 +110,7 @@ AxisEstimator = TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDeci
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
 
-_STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
+STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
 """Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
 
 
@@ -136,11 +130,6 @@ class StreamJump:
         if isinstance(self.jump, EncoderJump):
             return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
         return float(np.trace(self.jump.covariance_n)) * np.eye(2)
-
-
-def stuck_encoder_jump(time_ns: int) -> StreamJump:
-    """Return the possible jump of encoders that were stuck until a time."""
-    return StreamJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
 class MeasuredStreams:
@@ -244,14 +233,6 @@ class MeasuredStreams:
             self._estimator.add_sample(source, track, sample, outcome)
         return outcome
 
-    def consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
-        """Return the consistency of the encoder and ship streams in a time range."""
-        return self.tracks.stream_consistency(since_ns, until_ns)
-
-    def has_ship_drifted(self, time_ns: int) -> bool | None:
-        """True if the ship's attitude departed from the integral of its rates before a time; None if unknown."""
-        return self.tracks.has_ship_drifted(time_ns)
-
     def faults(self, time_ns: int) -> set[str]:
         """Return which of the encoder and ship streams had a fault since ``integrity.return_after_s`` before a time."""
         since_ns = time_ns - round(self._config.integrity.return_after_s * SECOND_NS)
@@ -324,7 +305,7 @@ class MeasuredStreams:
             self.jumps.append(StreamJump(result.jump))
         is_stuck = result.rejection is not None and result.rejection.reason is Reason.STUCK
         if is_stuck and not self._is_stuck:
-            self.jumps.append(stuck_encoder_jump(time_ns))
+            self.jumps.append(StreamJump(EncoderJump(time_ns, np.zeros(2), STUCK_SIGMA_RAD)))
         self._is_stuck = is_stuck
 
     def _check_repeated_time(self) -> None:

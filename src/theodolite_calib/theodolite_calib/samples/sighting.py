@@ -70,15 +70,13 @@ class AssembledSighting:
     """Result of assembling a sighting.
 
     Attributes:
-        sighting: sighting of the beacons with complete data; None if no beacon has complete data.
-        rejection: reason if there is no sighting.
+        sighting: sighting of the beacons with complete data, or a rejection without such beacons.
         rejected_beacons: rejections of beacons without complete data, by name.
         jumps: baseline jumps of the sighting's beacons, by name.
     """
 
-    sighting: Sighting | None
-    rejection: Rejection | None
-    rejected_beacons: tuple[tuple[str, Rejection], ...]
+    sighting: Sighting | Rejection
+    rejected_beacons: tuple[tuple[str, Rejection], ...] = ()
     jumps: tuple[tuple[str, BaselineJump], ...] = ()
 
 
@@ -98,7 +96,7 @@ class SightingAssembler:
         """Return the sighting of an exposure, or its rejection."""
         axes = self._tracks.axes_at(exposure.time_ns)
         if isinstance(axes, Rejection):
-            return AssembledSighting(None, axes, ())
+            return AssembledSighting(axes)
         found: list[tuple[DetectedBeacon, BeaconAt]] = []
         rejected: list[tuple[str, Rejection]] = []
         for light in exposure.beacons:
@@ -108,7 +106,7 @@ class SightingAssembler:
             else:
                 found.append((light, placed))
         if not found:
-            return AssembledSighting(None, rejected[0][1], tuple(rejected))
+            return AssembledSighting(rejected[0][1], tuple(rejected))
         sighting = Sighting(
             exposure.time_ns,
             tuple(light.beacon_id for light, _ in found),
@@ -123,12 +121,12 @@ class SightingAssembler:
         )
         jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
-            return AssembledSighting(sighting, None, tuple(rejected), jumps)
+            return AssembledSighting(sighting, tuple(rejected), jumps)
         at_middle = self._at_middle(sighting, exposure.nodes)
         if at_middle is None:
             text = f"no encoder readings or attitudes of the ship over the whole exposure of {exposure.exposure_s:g} s"
-            return AssembledSighting(None, Rejection(Reason.GAP, text), tuple(rejected))
-        return AssembledSighting(at_middle, None, tuple(rejected), jumps)
+            return AssembledSighting(Rejection(Reason.GAP, text), tuple(rejected))
+        return AssembledSighting(at_middle, tuple(rejected), jumps)
 
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """Return a sighting with its points at the middle of the exposure; None if samples are missing.
