@@ -31,7 +31,7 @@ from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.adapters.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.messages.output_messages import POINTING_TOPIC
-from theodolite_calib.smoothing.core import SmoothingAxisCore
+from theodolite_calib.smoothing import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow
 

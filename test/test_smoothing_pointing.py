@@ -30,7 +30,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.samples.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
-from theodolite_calib.smoothing.core import SmoothingAxisCore
+from theodolite_calib.smoothing import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow  # the computations that the tests share take long
 

@@ -9,10 +9,10 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_geometry.earth.geodetic import GeodeticPosition
-from theodolite_calib.triangulation.triangulation import Air, Station
+from theodolite_calib.triangulation.triangulation import RefractionConfig, Station
 
 ORIGIN = GeodeticPosition(np.deg2rad(31.945213), np.deg2rad(120.293086), 20.0)
-AIR = Air(0.13, 0.06)
+AIR = RefractionConfig(coefficient=0.13, sigma=0.06)
 PLACE_SIGMA_M = 0.01
 EARTH_RADIUS_M = 6_371_000.0
 

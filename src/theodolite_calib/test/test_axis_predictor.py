@@ -8,8 +8,7 @@ import pytest
 from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.simulated_session import BEACONS_DEG, config
-from theodolite_calib.smoothing.axis_predictor import AxisStatePredictor
-from theodolite_calib.smoothing.core import TracedFilter
+from theodolite_calib.smoothing import AxisStatePredictor, TracedFilter
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TIMES_NS = [START_NS + round(second * SECOND_NS) for second in (0.0, 0.4, 7.3, 33.0, 61.9)]

@@ -25,7 +25,7 @@ from theodolite_calib.samples.samples import (
     PointingEstimate,
     ShipSample,
 )
-from theodolite_calib.smoothing.core import SmoothingAxisCore
+from theodolite_calib.smoothing import SmoothingAxisCore
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 SIGHTED_MS = [*range(6000, 11000, 1000), *range(15000, 20000, 1000)]

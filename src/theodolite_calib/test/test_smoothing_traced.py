@@ -11,7 +11,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.smoothing.core import TracedFilter, TracedState
+from theodolite_calib.smoothing import TracedFilter, TracedState
 
 SETTINGS = config()
 

@@ -173,7 +173,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     sky_model = mount_sky(settings)
     mount = Mount(settings, sky_model)
     session, rng = mount.run(5)
-    encoder, model = random_field(rng), mount.filter.stars
+    encoder, model = random_field(rng), mount.step.stars
     sighting = session.sighting(encoder, 5)
     sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
     sigma = np.sqrt(np.diagonal(mount.filter.initial_state().covariance))
@@ -266,7 +266,7 @@ def test_identified_stars_give_the_attitude_without_encoders(sky_model) -> None:
     assert (decision.reason, after.consecutive_rejections) == (Reason.UNIDENTIFIED, 0)
     after, decision = mount.step(state, sighting)
     assert decision.accepted
-    camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
+    camera_ns = mount.step.stars.predict(after.mean, sighting).rotation_ns
     truth_ns = session.main_axis(encoder) @ rotation_from_angles(
         *(SETTINGS.telescopes[CAMERA_ID].parallelism + session.errors.parallelism)
     ).T

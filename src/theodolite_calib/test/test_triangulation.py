@@ -23,7 +23,13 @@ from ship_testing.theodolite_stations import (
     station,
     theodolite_n,
 )
-from theodolite_calib.triangulation.triangulation import Air, StationDirection, TriangulatedPosition, _Line, triangulate
+from theodolite_calib.triangulation.triangulation import (
+    RefractionConfig,
+    StationDirection,
+    TriangulatedPosition,
+    _Line,
+    triangulate,
+)
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 
@@ -149,7 +155,7 @@ def test_two_theodolites_match_their_covariance_at_50_km() -> None:
     rng, nees = np.random.default_rng(20), []
     for _ in range(DRAWS):
         directions, target_n = two_abreast_stations(50_000.0, SIGMA, rng)
-        place = triangulate_directions(directions, air=Air(AIR.coefficient, 0.0))
+        place = triangulate_directions(directions, air=RefractionConfig(coefficient=AIR.coefficient, sigma=0.0))
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
     low, high = mean_nees_band(DRAWS, 3)
     assert low < np.mean(nees) < high

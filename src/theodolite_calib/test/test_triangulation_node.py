@@ -382,7 +382,7 @@ def test_sources_off_gate_and_reset_by_live_means() -> None:
     assert ("station.t1", Reason.OFF) in published_reasons(published)
     assert published_positions(published)[-1].status == Status.VALID
     adapter.set_parameters({"refraction.coefficient": 0.5, "refraction.sigma": 0.2})
-    assert adapter.core.config.air.sigma == 0.2
+    assert adapter.core.config.refraction.sigma == 0.2
     with pytest.raises(ParameterError, match=r"there is no source 'station\.t9'"):
         adapter.set_parameters({"sources_off": ("station.t9",)})
     assert adapter.service("reset", START_NS).success

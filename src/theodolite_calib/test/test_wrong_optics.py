@@ -198,10 +198,10 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
         camera = StarCamera(**{**CAMERA, "focal_length_m": focal_length_m})
         exposure = replace(seen, directions_s=camera.directions(pixels))
         at = StarSighting(TELESCOPE, exposure, sighting.ship, sighting.encoder)
-        mean = filter_.initial_state().mean
-        attitude = filter_.stars.predict(mean, at)
+        mean, stars = filter_.initial_state().mean, StarStep(settings, filter_, sky_model()).stars
+        attitude = stars.predict(mean, at)
         prior = StarPrior(attitude.rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
-        found = filter_.stars.residuals(attitude, mean, at, prior, sky_model())
+        found = stars.residuals(attitude, mean, at, prior, sky_model())
         return found.residual, found.jacobian[:, filter_.model.slices["focal_length"]][:, 0]
 
     ahead, behind = residual(LENGTH_M + step_m)[0], residual(LENGTH_M - step_m)[0]

@@ -56,7 +56,7 @@ from theodolite_calib.messages.output_messages import (
     smoothed_pointing,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.smoothing.core import SmoothingAxisCore
+from theodolite_calib.smoothing import SmoothingAxisCore
 
 Three = tuple[float, float, float]
 

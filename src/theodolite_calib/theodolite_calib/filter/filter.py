@@ -22,7 +22,6 @@ from theodolite_calib.filter.fault_detection import AxisFaultState, initial_faul
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, ObservabilityState
 from theodolite_calib.filter.prediction import Prediction, SightingModel
-from theodolite_calib.filter.star_comparison import StarComparison, StarModel
 from theodolite_calib.filter.subfilters import AxisSubfilters, SubfilterStates
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
@@ -131,7 +130,6 @@ class CalibrationFilter:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
-        self.stars = StarModel(config, self.model, self.sightings)
         self.observability = Observability(self.model, includes_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
         self.subfilters = AxisSubfilters(config, self.model, self.ship_error)
@@ -288,16 +286,16 @@ class CalibrationFilter:
         return after, latest
 
     def update_by_stars(
-        self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
+        self, state: CalibrationState, exposure: StarExposure, measurement: LinearMeasurement, gain: FloatArray
     ) -> CalibrationState:
         """Update the propagated state with an exposure of stars; the subfilters are not changed.
 
         Args:
             state: propagated state.
             exposure: exposure of the stars.
-            comparison: comparison of the stars with the propagated state.
+            measurement: residual of the stars relative to the propagated state, rad, with Jacobian and noise.
+            gain: Kalman gain, shape (n, 2 k).
         """
-        measurement, (gain,) = comparison.measurement, comparison.innovations.gain
         pixel_dwells = state.pixel_dwells
         if exposure.pixel_dwell is not None:
             pixel_dwells = MappingProxyType({**pixel_dwells, exposure.source: exposure.pixel_dwell})

@@ -35,6 +35,8 @@ from theodolite_calib.samples.sighting import Sighting
 
 _MAX_BEACONS = 4
 """Maximum number of beacons for which exchanged names are tried; the number of exchanges grows as the factorial."""
+_ATTITUDE_DEGREES = 3
+"""Number of residual components that an attitude of the telescope explains."""
 
 
 class BeaconCheckResult(Enum):
@@ -51,20 +53,26 @@ class BeaconCheckResult(Enum):
 
 @dataclass(frozen=True)
 class BeaconCheck:
-    """Result of the check of the beacons of one exposure.
+    """Check of the beacons of one exposure in one order of their names.
 
     Attributes:
-        result: consistent, swapped or in conflict.
         order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED.
         attitude: attitude of the telescope from the beacons alone in this order.
         prior_chi2: chi-square of the difference between this attitude and the prior, 3 degrees of freedom; None without
             a prior.
+        result: consistent, swapped or in conflict.
     """
 
-    result: BeaconCheckResult
     order: tuple[int, ...]
     attitude: TelescopeAttitude
     prior_chi2: float | None
+    result: BeaconCheckResult = BeaconCheckResult.CONSISTENT
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of angles and prior; infinite without a solution."""
+        chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
+        return chi2 if np.isfinite(chi2) else np.inf
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,7 @@ def check_beacons(
     named_order = tuple(range(count))
     named_trial = _trial(image, camera, lines, named_order, prior)
     if _is_consistent(named_trial, probability):
-        return named_trial.check(BeaconCheckResult.CONSISTENT)
+        return named_trial
     exchanged_orders = (
         [order for order in permutations(range(count)) if order != named_order] if count <= _MAX_BEACONS else []
     )
@@ -130,38 +138,22 @@ def check_beacons(
     consistent_trials = [trial for trial in trials if _is_consistent(trial, probability)]
     # The improvement must be significant, because without a prior two beacons fit equally well in both orders.
     if len(consistent_trials) == 1 and named_trial.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
-        return consistent_trials[0].check(BeaconCheckResult.SWAPPED)
+        return replace(consistent_trials[0], result=BeaconCheckResult.SWAPPED)
     angles_fit = any(_are_angles_consistent(trial.attitude, probability) for trial in [named_trial, *trials])
-    return named_trial.check(
-        BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT
-    )
-
-
-@dataclass(frozen=True)
-class _Trial:
-    order: tuple[int, ...]
-    attitude: TelescopeAttitude
-    prior_chi2: float | None
-
-    @property
-    def chi2(self) -> float:
-        """Chi-square of angles and prior; infinite without a solution."""
-        chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
-        return chi2 if np.isfinite(chi2) else np.inf
-
-    def check(self, result: BeaconCheckResult) -> BeaconCheck:
-        return BeaconCheck(result, self.order, self.attitude, self.prior_chi2)
+    is_prior_conflict = angles_fit and not consistent_trials
+    result = BeaconCheckResult.PRIOR_CONFLICT if is_prior_conflict else BeaconCheckResult.CONFLICT
+    return replace(named_trial, result=result)
 
 
 def _trial(
     image: Image, camera: Camera, lines: LinesOfSight, order: tuple[int, ...], prior: AttitudePrior | None
-) -> _Trial:
+) -> BeaconCheck:
     attitude = solve_attitude(image.select(order), camera, lines)
     if prior is None:
-        return _Trial(order, attitude, None)
+        return BeaconCheck(order, attitude, None)
     attitude_difference = log_rotation(attitude.rotation_nt @ prior.rotation_nt.T)
     chi2 = float(normalized_error_squared(attitude_difference, attitude.covariance_n + prior.covariance_n))
-    return _Trial(order, attitude, chi2)
+    return BeaconCheck(order, attitude, chi2)
 
 
 def _are_angles_consistent(attitude: TelescopeAttitude, probability: float) -> bool:
@@ -169,7 +161,7 @@ def _are_angles_consistent(attitude: TelescopeAttitude, probability: float) -> b
     return bool(attitude.chi2 <= chi_square_gate(probability, attitude.degrees))
 
 
-def _is_consistent(trial: _Trial, probability: float) -> bool:
+def _is_consistent(trial: BeaconCheck, probability: float) -> bool:
     if not _are_angles_consistent(trial.attitude, probability):
         return False
     return trial.prior_chi2 is None or trial.prior_chi2 <= chi_square_gate(probability, 3)
@@ -191,10 +183,6 @@ def _angle_gradients(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArr
         gradients[..., p, i, :] = (first * cosine - second) / sine
         gradients[..., p, j, :] = (second * cosine - first) / sine
     return gradients
-
-
-_ATTITUDE_DEGREES = 3
-"""Number of residual components that an attitude of the telescope explains."""
 
 
 @dataclass(frozen=True)
@@ -251,15 +239,13 @@ class SightingGate:
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
-        resolved = (
-            self._try_exchanged_names(state, sighting, exposure, check.order)
-            if check.result is BeaconCheckResult.SWAPPED
-            else None
-        )
+        resolved = None
+        if check.result is BeaconCheckResult.SWAPPED:
+            resolved = self._try_exchanged_names(state, sighting, exposure, check.order)
         resolved = resolved or self._try_without_one(state, sighting, exposure)
         if resolved is not None:
             return resolved
-        if check.result is BeaconCheckResult.CONFLICT or check.result is BeaconCheckResult.SWAPPED:
+        if check.result in (BeaconCheckResult.CONFLICT, BeaconCheckResult.SWAPPED):
             text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
             return SightingDecision(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))

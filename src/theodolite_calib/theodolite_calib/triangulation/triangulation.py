@@ -28,6 +28,10 @@ from ship_geometry.mount.image import unit_vector_jacobian
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import FloatArray
 
+DIRECTION_TOPIC = "theodolite/target_direction"
+
+_RELATIVE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
 _STEPS = 20
 _SMALL_STEP_M = 1e-5
 _LEAST_ANGLE = 1e-4
@@ -55,6 +59,114 @@ class Station:
     sigma_m: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class PositionConfig:
+    """Position on WGS 84."""
+
+    latitude_deg: float = parameter(doc="geodetic latitude", unit="deg", minimum=-90.0, maximum=90.0)
+    longitude_deg: float = parameter(doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
+    height_m: float = parameter(doc="height over the ellipsoid WGS 84", unit="m", minimum=-500.0, maximum=9000.0)
+
+    @property
+    def position(self) -> GeodeticPosition:
+        """Geodetic position."""
+        latitude, longitude = np.deg2rad([self.latitude_deg, self.longitude_deg]).tolist()
+        return GeodeticPosition(latitude, longitude, self.height_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationPositionConfig(PositionConfig):
+    """Position of a theodolite's centre, and its error. The theodolite is fixed to the Earth."""
+
+    sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
+
+    def station(self, name: str) -> Station:
+        """Return the theodolite with a name at this position."""
+        return Station(name, self.position, self.sigma_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefractionConfig:
+    """Refraction on the path to the target; the target's direction is raised by k · (horizontal distance) / (2 R)."""
+
+    coefficient: float = parameter(
+        0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True
+    )
+    sigma: float = parameter(0.06, doc="error of k, common to all theodolites", minimum=0.0, maximum=5.0, live=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositioningConfig:
+    """Parameters common to the command and the node, except the theodolites."""
+
+    origin: PositionConfig = parameter(doc="origin of the common frame: East, North, Up there")
+    refraction: RefractionConfig = section(RefractionConfig)
+    max_gap_s: float = parameter(
+        1.0, doc="directions further apart in time are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+    gate_probability: float = parameter(
+        0.999, doc="probability that consistent directions are accepted", minimum=0.5, maximum=0.999999, live=True
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveStationConfig(StationPositionConfig):
+    """One theodolite of the node."""
+
+    topic: str = parameter("", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangulationConfig(PositioningConfig):
+    """All parameters of the node ``triangulation``."""
+
+    stations: dict[str, LiveStationConfig] = mapping_of("theodolites fixed to the Earth, by name")
+    lag_s: float = parameter(
+        2.0,
+        doc="directions wait for the next report of each theodolite until it is overdue by this time",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    frames: HorizonFrame = section(HorizonFrame)
+    sources_off: tuple[str, ...] = sources_off()
+    max_age_s: float = stamp_age()
+    slow_topics_period_s: float = parameter(
+        1.0, doc="period of health topics and diagnostics", unit="s", minimum=0.1, maximum=60.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check that each theodolite has a topic of its own, with a relative name.
+
+        Raises:
+            ParameterError: the check fails; the text names the parameter.
+        """
+        station_by_topic: dict[str, str] = {}
+        for name, station in self.stations.items():
+            parameter_name = f"stations.{name}.topic"
+            if station.topic and not _RELATIVE_NAME.fullmatch(station.topic):
+                raise ParameterError(
+                    f"parameter '{parameter_name}' = {station.topic}: expected a relative name, such as "
+                    f"west/{DIRECTION_TOPIC}; remap it at the start if it differs",
+                    parameter_name,
+                    value=station.topic,
+                )
+            topic = self.topic_of(name)
+            if topic in station_by_topic:
+                raise ParameterError(
+                    f"parameter '{parameter_name}': {topic} is already used by '{station_by_topic[topic]}': "
+                    "each theodolite needs "
+                    "its own",
+                    parameter_name,
+                    value=station.topic,
+                )
+            station_by_topic[topic] = name
+
+    def topic_of(self, name: str) -> str:
+        """Return the topic of a theodolite's directions."""
+        return self.stations[name].topic or f"{name}/{DIRECTION_TOPIC}"
+
+
 @dataclass(frozen=True)
 class StationDirection:
     """Direction of a target from one theodolite.
@@ -68,14 +180,6 @@ class StationDirection:
     station: Station
     direction_n: FloatArray
     covariance_n: FloatArray
-
-
-@dataclass(frozen=True)
-class Air:
-    """Coefficient k of terrestrial refraction, and its standard deviation, common to all directions."""
-
-    coefficient: float
-    sigma: float
 
 
 @dataclass(frozen=True)
@@ -102,7 +206,10 @@ class TriangulatedPosition:
 
 
 def triangulate(
-    origin: GeodeticPosition, directions: Sequence[StationDirection], air: Air, gate_probability: float = 0.999
+    origin: GeodeticPosition,
+    directions: Sequence[StationDirection],
+    air: RefractionConfig,
+    gate_probability: float = 0.999,
 ) -> TriangulatedPosition | Rejection:
     """Triangulate a target from the directions of two theodolites or more.
 
@@ -219,7 +326,9 @@ def _distance_rejection(lines: Sequence[_Line], position_n: FloatArray, covarian
     return None
 
 
-def _residuals(lines: Sequence[_Line], position_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _residuals(
+    lines: Sequence[_Line], position_n: FloatArray, air: RefractionConfig
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (2 N,), their derivative with respect to the position (2 N, 3) and covariance (2 N, 2 N)."""
     residuals, jacobians, by_k = [], [], []
     noise = np.zeros((2 * len(lines), 2 * len(lines)))
@@ -233,121 +342,3 @@ def _residuals(lines: Sequence[_Line], position_n: FloatArray, air: Air) -> tupl
         noise[rows, rows] = line.covariance + line.foot_sigma_m**2 * jacobian @ jacobian.T
     common = np.concatenate(by_k)
     return np.concatenate(residuals), np.concatenate(jacobians), noise + air.sigma**2 * np.outer(common, common)
-
-
-DIRECTION_TOPIC = "theodolite/target_direction"
-
-_RELATIVE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PositionConfig:
-    """Position on WGS 84."""
-
-    latitude_deg: float = parameter(doc="geodetic latitude", unit="deg", minimum=-90.0, maximum=90.0)
-    longitude_deg: float = parameter(doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
-    height_m: float = parameter(doc="height over the ellipsoid WGS 84", unit="m", minimum=-500.0, maximum=9000.0)
-
-    @property
-    def position(self) -> GeodeticPosition:
-        """Geodetic position."""
-        latitude, longitude = np.deg2rad([self.latitude_deg, self.longitude_deg]).tolist()
-        return GeodeticPosition(latitude, longitude, self.height_m)
-
-
-@dataclass(frozen=True, kw_only=True)
-class StationPositionConfig(PositionConfig):
-    """Position of a theodolite's centre, and its error. The theodolite is fixed to the Earth."""
-
-    sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
-
-    def station(self, name: str) -> Station:
-        """Return the theodolite with a name at this position."""
-        return Station(name, self.position, self.sigma_m)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RefractionConfig:
-    """Refraction on the path to the target; the target's direction is raised by k · (horizontal distance) / (2 R)."""
-
-    coefficient: float = parameter(
-        0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True
-    )
-    sigma: float = parameter(0.06, doc="error of k, common to all theodolites", minimum=0.0, maximum=5.0, live=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PositioningConfig:
-    """Parameters common to the command and the node, except the theodolites."""
-
-    origin: PositionConfig = parameter(doc="origin of the common frame: East, North, Up there")
-    refraction: RefractionConfig = section(RefractionConfig)
-    max_gap_s: float = parameter(
-        1.0, doc="directions further apart in time are not interpolated", unit="s", minimum=0.001, maximum=60.0
-    )
-    gate_probability: float = parameter(
-        0.999, doc="probability that consistent directions are accepted", minimum=0.5, maximum=0.999999, live=True
-    )
-
-    @property
-    def air(self) -> Air:
-        """Refraction on the path to the target."""
-        return Air(self.refraction.coefficient, self.refraction.sigma)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LiveStationConfig(StationPositionConfig):
-    """One theodolite of the node."""
-
-    topic: str = parameter("", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TriangulationConfig(PositioningConfig):
-    """All parameters of the node ``triangulation``."""
-
-    stations: dict[str, LiveStationConfig] = mapping_of("theodolites fixed to the Earth, by name")
-    lag_s: float = parameter(
-        2.0,
-        doc="directions wait for the next report of each theodolite until it is overdue by this time",
-        unit="s",
-        minimum=0.0,
-        maximum=60.0,
-    )
-    frames: HorizonFrame = section(HorizonFrame)
-    sources_off: tuple[str, ...] = sources_off()
-    max_age_s: float = stamp_age()
-    slow_topics_period_s: float = parameter(
-        1.0, doc="period of health topics and diagnostics", unit="s", minimum=0.1, maximum=60.0
-    )
-
-    def __post_init__(self) -> None:
-        """Check that each theodolite has a topic of its own, with a relative name.
-
-        Raises:
-            ParameterError: the check fails; the text names the parameter.
-        """
-        station_by_topic: dict[str, str] = {}
-        for name, station in self.stations.items():
-            parameter_name = f"stations.{name}.topic"
-            if station.topic and not _RELATIVE_NAME.fullmatch(station.topic):
-                raise ParameterError(
-                    f"parameter '{parameter_name}' = {station.topic}: expected a relative name, such as "
-                    f"west/{DIRECTION_TOPIC}; remap it at the start if it differs",
-                    parameter_name,
-                    value=station.topic,
-                )
-            topic = self.topic_of(name)
-            if topic in station_by_topic:
-                raise ParameterError(
-                    f"parameter '{parameter_name}': {topic} is already used by '{station_by_topic[topic]}': "
-                    "each theodolite needs "
-                    "its own",
-                    parameter_name,
-                    value=station.topic,
-                )
-            station_by_topic[topic] = name
-
-    def topic_of(self, name: str) -> str:
-        """Return the topic of a theodolite's directions."""
-        return self.stations[name].topic or f"{name}/{DIRECTION_TOPIC}"

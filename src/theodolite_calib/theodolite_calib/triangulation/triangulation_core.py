@@ -137,7 +137,7 @@ def position_at(time_ns: int, stations: Sequence[StationDirections], config: Pos
     directions = [direction for direction, _ in observations]
     return TargetPosition(
         time_ns=time_ns,
-        position=triangulate(config.origin.position, directions, config.air, config.gate_probability),
+        position=triangulate(config.origin.position, directions, config.refraction, config.gate_probability),
         stations=tuple(direction.station.name for direction in directions),
         status=max((status for _, status in observations), default=Status.INVALID),
     )
@@ -162,24 +162,24 @@ class PositionEstimate:
     Attributes:
         time_ns: stamp of the direction that is answered.
         target_id: id of the target.
-        position_n: position in the common frame, m, shape (3,); NaN if INVALID.
-        covariance_n: covariance of the position's total error, m², shape (3, 3); NaN if INVALID.
         status: status of the position.
         text: reason if the status is not VALID.
         stations: theodolites with a direction at that time.
         triangulated: position with the residuals of the directions; None if none was computed.
         rejection: reason if INVALID; else None.
+        position_n: position in the common frame, m, shape (3,); NaN if INVALID.
+        covariance_n: covariance of the position's total error, m², shape (3, 3); NaN if INVALID.
     """
 
     time_ns: int
     target_id: str
-    position_n: FloatArray
-    covariance_n: FloatArray
     status: Status
     text: str
     stations: tuple[str, ...]
     triangulated: TriangulatedPosition | None
     rejection: Rejection | None
+    position_n: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    covariance_n: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))
 
 
 TriangulationOutcome = Outcome[MeasurementDecision[Measurement], PositionEstimate]
@@ -380,7 +380,7 @@ class TriangulationCore:
         if conflict_text and status is not Status.DEGRADED:
             status, text = Status.DEGRADED, conflict_text
         return PositionEstimate(
-            time_ns, target_id, place.position_n, place.covariance_n, status, text, placed.stations, place, None
+            time_ns, target_id, status, text, placed.stations, place, None, place.position_n, place.covariance_n
         )
 
     def _conflict_text(self, time_ns: int, stations: tuple[str, ...]) -> str:
@@ -392,8 +392,4 @@ class TriangulationCore:
 def _invalid_position(
     target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPosition | None, rejection: Rejection
 ) -> PositionEstimate:
-    """Return an INVALID position."""
-    unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
-    return PositionEstimate(
-        time_ns, target_id, unknown, unknown_covariance, Status.INVALID, rejection.text, stations, compared, rejection
-    )
+    return PositionEstimate(time_ns, target_id, Status.INVALID, rejection.text, stations, compared, rejection)
