@@ -154,7 +154,6 @@ class OpticalAxisAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _pointing_messages(self, estimate: PointingEstimate) -> list[OutputMessage]:
-        """Return the messages of one pointing."""
         messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
         return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
 

@@ -188,7 +188,6 @@ def _configuration(path: Path) -> RecordedTriangulationConfig:
 
 
 def _rows(positions: Sequence[tuple[TargetPosition, TriangulatedPosition]]) -> Iterator[list[str | float | int]]:
-    """Yield the rows of the table."""
     for one, found in positions:
         place = found.position_n[_EAST_NORTH_UP]
         covariance = found.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]

@@ -1,4 +1,6 @@
 """Calibration filter: its states, the prediction of a sighting, gate, update, fault detection and observability.
 
-Nothing here handles time order or late samples. The folder may import ``samples`` and the folders below.
+``step`` processes beacons, ``star_step`` stars. ``sighting_gate`` checks the beacons' names with the telescope's
+attitude from their image (``telescope_attitude``). Nothing here handles time order or late samples. The folder may
+import ``samples`` and ``config``.
 """

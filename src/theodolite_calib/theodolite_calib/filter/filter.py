@@ -119,6 +119,11 @@ class Comparison:
     angles_nis: float
     gain: FloatArray
 
+    @property
+    def focal_length_m(self) -> float:
+        """Focal length of the prediction, m."""
+        return float(self.prediction.camera.focal_length_m)
+
 
 class CalibrationFilter:
     """Kalman filter of a configuration: propagation and measurement update of its states.
@@ -225,10 +230,10 @@ class CalibrationFilter:
         """
         excluded, parts = state.fault_state.excluded.keys(), state.covariance_by_source
         if excluded:
-            parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
-        return replace(
-            state, covariance_by_source=parts, subfilters=self.subfilters.add_unknown_errors(state.subfilters, excluded)
-        )
+            parts = parts.copy()
+            self.subfilters.add_unknown_changes(parts, self.model.sources.index(SOURCE_AXES), excluded)
+        subfilters = self.subfilters.add_unknown_errors(state.subfilters, excluded)
+        return replace(state, covariance_by_source=parts, subfilters=subfilters)
 
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to the values that a sighting gives.
@@ -269,21 +274,9 @@ class CalibrationFilter:
                 break
             prediction = self.sightings.predict(mean, sighting)
             latest = self._comparison(state, prediction, prediction.residual + prediction.jacobian @ correction)
-        unaided = self.observability.update(state.observability, latest.measurement.jacobian, latest.measurement.noise)
-        on_sky = comparison.measurement.residual / comparison.prediction.camera.focal_length_m
-        after = replace(
-            state,
-            mean=mean,
-            covariance_by_source=parts,
-            observability=unaided,
-            consecutive_rejections=0,
-            last_beacons_ns=sighting.time_ns,
-            light_count=len(sighting.names),
-            sighting_count=state.sighting_count + 1,
-            point_count=state.point_count + len(sighting.names),
-            residual_square_sum=state.residual_square_sum + float(on_sky @ on_sky),
-        )
-        return after, latest
+        on_sky = comparison.measurement.residual / comparison.focal_length_m
+        after = self._after_update(state, mean, parts, latest.measurement, on_sky)
+        return replace(after, last_beacons_ns=sighting.time_ns, light_count=len(sighting.names)), latest
 
     def update_by_stars(
         self, state: CalibrationState, exposure: StarExposure, measurement: LinearMeasurement, gain: FloatArray
@@ -300,17 +293,27 @@ class CalibrationFilter:
         if exposure.pixel_dwell is not None:
             pixel_dwells = MappingProxyType({**pixel_dwells, exposure.source: exposure.pixel_dwell})
         correction, parts = update(state.covariance_by_source, measurement, gain)
+        after = self._after_update(state, state.mean + correction, parts, measurement, measurement.residual)
+        return replace(after, last_stars_ns=exposure.time_ns, pixel_dwells=pixel_dwells)
+
+    def _after_update(
+        self,
+        state: CalibrationState,
+        mean: FloatArray,
+        parts: FloatArray,
+        measurement: LinearMeasurement,
+        on_sky: FloatArray,
+    ) -> CalibrationState:
+        """Return the state after an update by a measurement; ``on_sky`` are its residuals on the sky, rad."""
         return replace(
             state,
-            mean=state.mean + correction,
+            mean=mean,
             covariance_by_source=parts,
             observability=self.observability.update(state.observability, measurement.jacobian, measurement.noise),
             consecutive_rejections=0,
-            last_stars_ns=exposure.time_ns,
-            pixel_dwells=pixel_dwells,
             sighting_count=state.sighting_count + 1,
-            point_count=state.point_count + len(measurement.residual) // 2,
-            residual_square_sum=state.residual_square_sum + float(measurement.residual @ measurement.residual),
+            point_count=state.point_count + len(on_sky) // 2,
+            residual_square_sum=state.residual_square_sum + float(on_sky @ on_sky),
         )
 
     def _comparison(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:

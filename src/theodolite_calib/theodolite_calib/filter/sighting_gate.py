@@ -131,10 +131,8 @@ def check_beacons(
     named_trial = _trial(image, camera, lines, named_order, prior)
     if _is_consistent(named_trial, probability):
         return named_trial
-    exchanged_orders = (
-        [order for order in permutations(range(count)) if order != named_order] if count <= _MAX_BEACONS else []
-    )
-    trials = [_trial(image, camera, lines, order, prior) for order in exchanged_orders]
+    orders = permutations(range(count)) if count <= _MAX_BEACONS else ()
+    trials = [_trial(image, camera, lines, order, prior) for order in orders if order != named_order]
     consistent_trials = [trial for trial in trials if _is_consistent(trial, probability)]
     # The improvement must be significant, because without a prior two beacons fit equally well in both orders.
     if len(consistent_trials) == 1 and named_trial.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
@@ -237,7 +235,8 @@ class SightingGate:
     ) -> SightingDecision:
         """Test two or more beacons for misidentification after their given names have failed the gate."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
-        prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
+        covariance_n = prediction.by_state_n @ state.covariance @ prediction.by_state_n.T
+        prior = AttitudePrior(prediction.rotation_nt, {"state": covariance_n, **prediction.noise_n})
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
         resolved = None
         if check.result is BeaconCheckResult.SWAPPED:
@@ -253,9 +252,8 @@ class SightingGate:
         if not check.attitude.solved:
             return SightingDecision(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
-        return SightingDecision(
-            replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma))
-        )
+        telescope_dt = sighting.deck_from_telescope(check.attitude.rotation_nt), sigma
+        return SightingDecision(replace(decision, telescope_dt=telescope_dt))
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """Return the camera with the standard deviation of the focal length from the state."""
@@ -292,16 +290,13 @@ class SightingGate:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         result = self._acceptance(exposure, others, comparison)
-        rejected = (
-            sighting.names[row],
-            Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without this one"),
-        )
-        return replace(result, decision=replace(result.decision, rejected_parts=(rejected,)))
+        rejection = Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without this one")
+        decision = replace(result.decision, rejected_parts=((sighting.names[row], rejection),))
+        return replace(result, decision=decision)
 
     def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> SightingDecision:
-        """Return the decision for a sighting that passes the gate."""
         rotation_nt = comparison.prediction.rotation_nt
-        sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / focal_length_m(comparison)
+        sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / comparison.focal_length_m
         decision = replace(
             self._decision(exposure, sighting, comparison),
             reason=Reason.NONE,
@@ -317,7 +312,7 @@ class SightingGate:
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         """Return the decision with residuals, as a rejection by the gate that callers can change."""
-        focal_m = focal_length_m(comparison)
+        focal_m = comparison.focal_length_m
         return ExposureDecision(
             measurement=exposure,
             reason=Reason.GATE,
@@ -329,17 +324,6 @@ class SightingGate:
             nis=comparison.nis,
             gate=chi_square_gate(self._gate.probability, len(comparison.measurement.residual)),
         )
-
-
-def _telescope_covariance_by_source(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
-    """Return the covariance of the predicted telescope attitude by source, rotation vector in n, rad², (3, 3) each."""
-    by_state_n = comparison.prediction.by_state_n
-    return {"state": by_state_n @ state.covariance @ by_state_n.T, **comparison.prediction.noise_n}
-
-
-def focal_length_m(comparison: Comparison) -> float:
-    """Return the focal length used in a comparison, m."""
-    return float(comparison.prediction.camera.focal_length_m)
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:

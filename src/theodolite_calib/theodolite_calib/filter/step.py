@@ -28,7 +28,7 @@ from theodolite_calib.filter.fault_detection import (
 )
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.model import axis_state_indices
-from theodolite_calib.filter.sighting_gate import SightingGate, focal_length_m
+from theodolite_calib.filter.sighting_gate import SightingGate
 from theodolite_calib.filter.subfilters import (
     AXIS_SOURCES,
     BEACON_PREFIX,
@@ -65,11 +65,8 @@ class SightingStep:
         has_ship_drifted: Callable[[int], bool | None] = lambda time_ns: None,
         stream_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._stream_consistency, self._has_ship_drifted, self._stream_faults = (
-            stream_consistency,
-            has_ship_drifted,
-            stream_faults,
-        )
+        self._stream_consistency, self._has_ship_drifted = stream_consistency, has_ship_drifted
+        self._stream_faults = stream_faults
         self._filter, self._gate, self._return_after_s = filter_, config.gate, config.integrity.return_after_s
         self._sighting_gate = SightingGate(filter_, config.gate)
         self._fault_detector = AxisFaultDetector(filter_.subfilters, config.gate, config.integrity)
@@ -145,11 +142,13 @@ class SightingStep:
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON_PREFIX + sighting.names[row] not in excluded]
         excluded_beacons = tuple(
-            self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON_PREFIX + name in excluded
+            (name, Rejection(Reason.EXCLUDED, predicted.fault_state.excluded[BEACON_PREFIX + name].reason))
+            for name in sighting.names
+            if BEACON_PREFIX + name in excluded
         )
         prepared = self._filter.add_unknown_errors(predicted)
         for source in sorted(excluded & AXIS_SOURCES):
-            predicted = self._monitor_prediction(predicted, sighting, source)
+            predicted = self._monitor_prediction(predicted, sighting, used_rows, source)
         fault_state = self._monitor_beacons(predicted.fault_state, prepared, sighting, bool(used_rows))
         if not used_rows:
             unused_state = replace(unused_state, subfilters=predicted.subfilters, fault_state=fault_state)
@@ -179,7 +178,6 @@ class SightingStep:
     def _update_subfilters(
         self, predicted: CalibrationState, names: tuple[str, ...], comparison: Comparison, is_used: bool, time_ns: int
     ) -> tuple[SubfilterStates, AxisFaultState]:
-        """Update the subfilters and the innovation means with a sighting; ``predicted`` is the propagated state."""
         excluded, main_filter = predicted.fault_state.excluded.keys(), (predicted.mean, comparison.covariance)
         subfilters, innovations = self._filter.subfilters.update_by_beacons(
             predicted.subfilters, names, comparison.measurement, main_filter, excluded, self._gate.probability
@@ -211,12 +209,8 @@ class SightingStep:
             is_common = self._fault_detector.drift_together(fault_state, time_ns)
             source = isolate_drift_fault(source, explaining_sources, is_common, self._has_ship_drifted(time_ns))
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
-        elif (
-            not is_detected
-            and self._fault_detector.indicates_ship_drift(fault_state, time_ns)
-            and self._has_ship_drifted(time_ns)
-        ):
-            source = SHIP
+        elif not is_detected and self._fault_detector.indicates_ship_drift(fault_state, time_ns):
+            source = SHIP if self._has_ship_drifted(time_ns) else source
         if source is not None:
             return self._exclude_faulty_source(after, source, decision)
         if is_detected:
@@ -261,11 +255,8 @@ class SightingStep:
     ) -> str | None:
         """Isolate a fault of encoders or ship with steps in their streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
-        streams = (
-            None
-            if unused_state.last_beacons_ns is None
-            else self._stream_consistency(unused_state.last_beacons_ns, time_ns)
-        )
+        since_ns = unused_state.last_beacons_ns
+        streams = None if since_ns is None else self._stream_consistency(since_ns, time_ns)
         if streams is None:
             return source
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
@@ -290,14 +281,11 @@ class SightingStep:
         If the source has no subfilter, the innovation means restart from those of ``explaining_subfilter``.
         """
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
-        rejected_residual_m = float(
-            np.max(np.abs(decision.residual), initial=0.0)
-        ) * self._filter.sightings.focal_length_m(state.mean)
-        time_ns = decision.measurement.time_ns
-        exclusion = AxisExclusion(time_ns, reason=reason, rejected_residual_m=rejected_residual_m)
-        state = self._exclude_source(
-            state, source, exclusion, source if source in self._filter.subfilters.names else explaining_subfilter
-        )
+        largest = float(np.max(np.abs(decision.residual), initial=0.0))
+        residual_m = largest * self._filter.sightings.focal_length_m(state.mean)
+        exclusion = AxisExclusion(decision.measurement.time_ns, reason=reason, rejected_residual_m=residual_m)
+        subfilter = source if source in self._filter.subfilters.names else explaining_subfilter
+        state = self._exclude_source(state, source, exclusion, subfilter)
         text = f"{decision.text}; excluded: {reason}" if decision.text else f"excluded: {reason}"
         return replace(state, consecutive_rejections=0), replace(decision, text=text)
 
@@ -309,16 +297,14 @@ class SightingStep:
         farthest = separation_n[np.argmax(np.sum(separation_n**2, axis=1))]
         return np.outer(farthest, farthest)
 
-    def _monitor_prediction(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
-        """Compare the sighting with the prediction from excluded encoders or ship's attitude."""
-        used = [
-            row
-            for row, name in enumerate(sighting.names)
-            if BEACON_PREFIX + name not in predicted.fault_state.excluded
-        ]
-        comparison = self._filter.compare(predicted, sighting.select(used)) if used else None
-        gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
-        is_consistent = comparison is not None and comparison.nis <= gate
+    def _monitor_prediction(
+        self, predicted: CalibrationState, sighting: Sighting, used_rows: list[int], source: str
+    ) -> CalibrationState:
+        """Compare the used beacons with the prediction from excluded encoders or ship's attitude."""
+        comparison = self._filter.compare(predicted, sighting.select(used_rows)) if used_rows else None
+        is_consistent = comparison is not None and comparison.nis <= chi_square_gate(
+            self._gate.probability, 2 * len(used_rows)
+        )
         fault_state = self._fault_detector.monitor_prediction(
             predicted.fault_state, source, is_consistent, sighting.time_ns
         )
@@ -352,14 +338,11 @@ class SightingStep:
         direction_n = comparison.prediction.lines.direction_n[0]
         across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
-        by_jump = float(focal_length_m(comparison) * across_m / distance_m)
+        by_jump = float(comparison.focal_length_m * across_m / distance_m)
         if np.any(exclusion.jump_sum_n):
             # A jump along the line of sight has no residual; the smallest positive number prevents a reinstatement.
             return max(by_jump, np.finfo(float).tiny)
         return 0.0 if has_others else exclusion.rejected_residual_m
-
-    def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Rejection]:
-        return name, Rejection(Reason.EXCLUDED, state.fault_state.excluded[BEACON_PREFIX + name].reason)
 
 
 def count_rejection(

@@ -171,16 +171,17 @@ class AxisSubfilters(SubfilterTable):
         """Add to each subfilter, before a sighting, the unknown error changes of its source and of ``excluded``."""
         parts = subfilters.covariances.copy()
         for row, source in enumerate(self.names):
-            for name in {source, *excluded} & self._states.keys():
-                add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN_CHANGE_SIGMA[name])
+            self.add_unknown_changes(parts[row], _ONLY_SOURCE, {source, *excluded})
         return replace(subfilters, covariances=parts)
 
-    def add_unknown_errors_to_parts(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
-        """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
-        parts = parts.copy()
-        for name in sorted(excluded & self._states.keys()):
-            add_unknown_change(parts, self._states[name], source_index, _UNKNOWN_CHANGE_SIGMA[name])
-        return parts
+    def add_unknown_changes(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> None:
+        """Add the unknown error changes of sources to a covariance by source, in place, shape (n_sources, n, n).
+
+        Correlations with the other states are kept. Independent errors at every sighting would be wrong, because a
+        constant error would then seem known to sigma / sqrt(sightings).
+        """
+        for name in excluded & self._states.keys():
+            parts[source_index, self._states[name], self._states[name]] += _UNKNOWN_CHANGE_SIGMA[name] ** 2
 
     def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> _MeasurementPattern:
         """Return the pattern for beacons with these names, which is created once."""
@@ -283,15 +284,6 @@ class AxisSubfilters(SubfilterTable):
         return replace(subfilters, mean=subfilters.mean + corrections, covariances=stack[:, None])
 
 
-def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
-    """Add an unknown change of some states since the last sighting to a covariance by source, shape (n_sources, n, n).
-
-    Correlations with the other states are kept. Independent errors at every sighting would be wrong, because a constant
-    error would then seem known to sigma / sqrt(sightings).
-    """
-    parts[source_index, states, states] += sigma_rad**2
-
-
 def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
     """Return the innovation of one beacon in one filter; the whitened innovation is along the axes of the detector.
 
@@ -300,7 +292,11 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
         covariance: covariance of the residual, shape (2, 2).
         noise: part of ``covariance`` from the noise of the sighting, shape (2, 2).
     """
-    root = _whitening_matrix(covariance)
+    # The root is the inverse symmetric root of the covariance.
+    (first, mixed), (_, second) = covariance
+    area = np.sqrt(first * second - mixed * mixed)
+    scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))
+    root = np.array([[(second + area) * scale, -mixed * scale], [-mixed * scale, (first + area) * scale]])
     whitened_innovation, whitened_noise = np.zeros((1, 3)), np.eye(3)
     whitened_innovation[0, :2], whitened_noise[:2, :2] = root @ residual, root @ noise @ root
     nothing = np.empty(0)
@@ -313,14 +309,3 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
         whitened_noise,
         nothing,
     )
-
-
-def _whitening_matrix(covariance: FloatArray) -> FloatArray:
-    """Return the inverse symmetric root of covariances of two components, shape (..., 2, 2)."""
-    first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
-    area = np.sqrt(first * second - mixed * mixed)
-    scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))
-    root = np.empty(covariance.shape)
-    root[..., 0, 0], root[..., 1, 1] = (second + area) * scale, (first + area) * scale
-    root[..., 0, 1] = root[..., 1, 0] = -mixed * scale
-    return root

@@ -191,7 +191,6 @@ def _parts(
     line_parts: dict[str, FloatArray],
     prior: AttitudePrior | None,
 ) -> dict[str, FloatArray]:
-    """Return the attitude's covariance by source."""
     rows = equations.by_focal_length.shape[-1]
     by_directions = gain[..., :rows] @ equations.by_directions
     parts = {source: _propagate_covariance(by_directions, part) for source, part in line_parts.items()}
@@ -257,7 +256,6 @@ def linearise(
 
 
 def _join_diagonally(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the block-diagonal matrix of two matrices of different size."""
     m, n = first.shape[-1], second.shape[-1]
     matrix = np.zeros((*first.shape[:-2], m + n, m + n))
     matrix[..., :m, :m] = first

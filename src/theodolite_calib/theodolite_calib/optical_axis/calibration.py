@@ -101,27 +101,24 @@ def calibration_from_state(
     filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
 ) -> Calibration:
     """Return the named values of a state; the flexure is omitted if its value and sigma are zero."""
-    model = filter_.model
-    axes = config.axes.values + state.mean[model.slices["axes"]]
-    variance = np.diagonal(state.covariance)
-    shown = [
-        i
-        for i, row in enumerate(model.state_indices("axes"))
-        if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]
+    model, mean, covariance = filter_.model, state.mean, state.covariance
+    axis_rows, (length_row,) = model.state_indices("axes").tolist(), model.state_indices("focal_length").tolist()
+    axes = zip(NAMES, axis_rows, (config.axes.values + mean[axis_rows]).tolist(), strict=True)
+    listed = [
+        _CalibrationValue(name, row, value, "rad")
+        for name, row, value in axes
+        if name != "flexure" or covariance[row, row] > 0.0 or value
     ]
-    rows = np.concatenate(
-        [model.state_indices("axes")[shown], model.state_indices("focal_length"), model.state_indices("deformation")]
-    )
-    deformation = state.mean[model.slices["deformation"]]
-    by_stars = _star_values(filter_, config, state)
-    rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
-    values = np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation])
+    listed.append(_CalibrationValue("focal_length", length_row, filter_.sightings.focal_length_m(mean), "m"))
+    for name, row in zip(DEFORMATION_NAMES, model.state_indices("deformation").tolist(), strict=True):
+        listed.append(_CalibrationValue(name, row, mean[row], "rad"))
+    names, rows, values, units = zip(*listed, *_star_values(filter_, config, state), strict=True)
     return Calibration(
         time_ns=state.last_update_ns or 0,
-        names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES, *(one.name for one in by_stars)),
-        values=np.concatenate([values, [one.value for one in by_stars]]),
-        covariance=state.covariance[np.ix_(rows, rows)],
-        units=(*("rad" for _ in shown), "m", *("rad" for _ in DEFORMATION_NAMES), *(one.unit for one in by_stars)),
+        names=names,
+        values=np.array(values),
+        covariance=covariance[np.ix_(rows, rows)],
+        units=units,
         unobservable=filter_.observability.unobservable_combinations(state.observability),
         sighting_count=state.sighting_count,
         residual_rms=state.residual_rms,

@@ -255,7 +255,6 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.streams.record_decision(decision)
 
     def _drop_before(self, time_ns: int) -> None:
-        """Drop the data that no exposure at or after a stamp needs."""
         self.streams.tracks.drop_before(time_ns)
         if self.sky_model is not None:
             self.sky_model.surroundings.drop_before(time_ns)

@@ -260,7 +260,6 @@ class EncoderCheck:
         return CheckedReading()
 
     def _check_step(self, step: _Step) -> CheckedReading:
-        """Check the reading that proves a step."""
         time_ns, step_rad = step.jump.time_ns, vector_length(step.jump.jump)
         # The mount goes from rest to rest, half of the way with maximum acceleration and half of it braking.
         reached_rad = 0.25 * self._max_acceleration * step.interval_s**2
@@ -302,7 +301,6 @@ class EncoderCheck:
 
 
 def _readings_before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
-    """Return the last two readings before a time, or fewer."""
     second = track.last_before(time_ns - 1)
     first = None if second is None else track.last_before(second.time_ns - 1)
     return tuple(sample for sample in (first, second) if sample is not None)

@@ -209,10 +209,8 @@ def _step(since_s: FloatArray, values: FloatArray, sigma_rad: float, degree: int
 
 
 def _seconds(samples: Sequence[Stamped], since_ns: int) -> FloatArray:
-    """Return the stamps relative to a time, s."""
     return np.array([sample.time_ns - since_ns for sample in samples]) / SECOND_NS
 
 
 def _has_gap(samples: Sequence[Stamped], longest_ns: int) -> bool:
-    """True if two consecutive samples are too far apart."""
     return any(later.time_ns - one.time_ns > longest_ns for one, later in itertools.pairwise(samples))

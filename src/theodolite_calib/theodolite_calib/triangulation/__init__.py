@@ -1,4 +1,4 @@
 """Position of a target from the directions of several theodolites.
 
-``triangulation`` has pure functions; ``triangulation_core`` is the core of the node.
+``triangulation`` has the parameters and pure functions; ``triangulation_core`` is the core of the node.
 """

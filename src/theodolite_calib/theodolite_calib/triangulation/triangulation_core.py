@@ -99,7 +99,6 @@ class StationDirections:
         return direction, max(sample.status for sample in near)
 
     def _neighbours(self, time_ns: int) -> list[DirectionSample]:
-        """Return the sample at a time, or the samples before and after that time."""
         before = self.track.last_before(time_ns)
         assert before is not None
         if before.time_ns == time_ns:
