@@ -114,12 +114,8 @@ class MainDetectorConfig(MainDetectorOptics):
 
     def __post_init__(self) -> None:
         if 0.0 < self.focal_length_m < _SHORTEST_FOCAL_LENGTH_M:
-            raise ParameterError(
-                f"parameter 'main_detector.focal_length_m' = {self.focal_length_m:g}: expected metres, "
-                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 without a main detector",
-                "main_detector.focal_length_m",
-                value=self.focal_length_m,
-            )
+            text = f"expected metres, {_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 without a main detector"
+            raise _refusal("main_detector.focal_length_m", self.focal_length_m, text)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,24 +190,18 @@ class EscortConfig:
         for name, unit in (("range", "m"), ("elevation", "deg")):
             least, greatest = getattr(self, f"{name}_min_{unit}"), getattr(self, f"{name}_max_{unit}")
             if not least <= greatest:
-                raise ParameterError(
-                    f"parameter 'escort.{name}_min_{unit}' = {least:g} {unit}: expected at most "
-                    f"escort.{name}_max_{unit} = {greatest:g} {unit}",
-                    f"escort.{name}_min_{unit}",
-                    value=least,
-                )
+                text = f"expected at most escort.{name}_max_{unit} = {greatest:g} {unit}"
+                raise _refusal(f"escort.{name}_min_{unit}", least, text, unit)
         near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
         # The largest distance is across the whole field, between two far positions, or a near and a far position.
         same_range_m, different_range_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
         widest_m = float(max(same_range_m, different_range_m))
         if not self.separation_min_m <= widest_m:
-            raise ParameterError(
-                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two positions in the field and "
-                f"range of escort.field_deg, escort.range_min_m and escort.range_max_m are more than {widest_m:.1f} m "
-                "apart",
-                "escort.separation_min_m",
-                value=self.separation_min_m,
+            text = (
+                "no two positions in the field and range of escort.field_deg, escort.range_min_m and "
+                f"escort.range_max_m are more than {widest_m:.1f} m apart"
             )
+            raise _refusal("escort.separation_min_m", self.separation_min_m, text, "m")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,12 +262,8 @@ class OpticalAxisConfig:
         # attitude.
         hypotheses, most = 3 + len(self.beacons), self.integrity.max_hypotheses
         if hypotheses > most:
-            raise ParameterError(
-                f"parameter 'integrity.max_hypotheses' = {most}: {len(self.beacons)} beacons, the encoders and the "
-                f"ship's attitude make {hypotheses} hypotheses",
-                "integrity.max_hypotheses",
-                value=most,
-            )
+            text = f"{len(self.beacons)} beacons, the encoders and the ship's attitude make {hypotheses} hypotheses"
+            raise _refusal("integrity.max_hypotheses", most, text)
         if self.telescope.telescope_id in self.telescopes:
             self._refuse_another_telescope(self.telescope.telescope_id)
         if self.escort.enabled and not self.beacons:
@@ -298,14 +284,11 @@ class OpticalAxisConfig:
     def _refuse_another_telescope(self, id_: str) -> None:
         """Refuse a calibration telescope whose focal length or parallelism differs between beacons and stars."""
         telescope, camera = self.telescope, self.telescopes[id_]
-        duplicates = [
-            ("camera.focal_length_m", camera.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)
-        ]
-        own_m = camera.camera.focal_length_sigma_m
-        if own_m:
-            duplicates.append(
-                ("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m)
-            )
+        lens, length_m, sigma_m = camera.camera, telescope.focal_length_m, telescope.focal_length_sigma_m
+        duplicates = [("camera.focal_length_m", lens.focal_length_m, "focal_length_m", length_m)]
+        if lens.focal_length_sigma_m:
+            own_sigma_m = lens.focal_length_sigma_m
+            duplicates.append(("camera.focal_length_sigma_m", own_sigma_m, "focal_length_sigma_m", sigma_m))
         for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
             telescope_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
             telescope_sigma_arcsec = getattr(telescope, f"{of_telescope}_sigma_arcsec")
@@ -316,9 +299,10 @@ class OpticalAxisConfig:
             ]
         for name, value, other, expected in duplicates:
             if not abs(value - expected) <= _SAME_TOLERANCE * max(abs(expected), 1.0):
-                raise ParameterError(
-                    f"parameter 'telescopes.{id_}.{name}' = {value:g}: '{id_}' is the calibration telescope: expected "
-                    f"telescope.{other} = {expected:g}",
-                    f"telescopes.{id_}.{name}",
-                    value=value,
-                )
+                text = f"'{id_}' is the calibration telescope: expected telescope.{other} = {expected:g}"
+                raise _refusal(f"telescopes.{id_}.{name}", value, text)
+
+
+def _refusal(name: str, value: float, expected: str, unit: str = "") -> ParameterError:
+    """Return the error of a parameter that cannot be met together with others."""
+    return ParameterError(f"parameter '{name}' = {value:g}{unit and ' ' + unit}: {expected}", name, value=value)

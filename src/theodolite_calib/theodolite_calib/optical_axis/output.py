@@ -52,6 +52,12 @@ from theodolite_calib.samples.tracks import ShipAt, ShipSeries
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 """Quantities bounded by the protection levels."""
 
+_NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
+"""Empty factors and added covariances, if the ship's error has no step."""
+
+_TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
+_STARS, _STARS_AND_LIGHTS = int(Mode.STARS), int(Mode.STARS_AND_LIGHTS)
+
 
 class PointingLevels:
     """Protection levels of pointings from one state of the filter; created once per state.
@@ -95,13 +101,9 @@ class PointingLevels:
             self.state.subfilters.covariances[:, 0],
         )
         # Encoders and ship's attitude are unchecked without beacons and stars, and so are stars alone.
-        is_stars_only = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
-        is_unchecked = (
-            self._has_unresolved_fault
-            or estimate.mode is Mode.ENCODER
-            or is_stars_only
-            or estimate.status is Status.INVALID
-        )
+        mode, status = estimate.mode, estimate.status
+        is_by_unchecked = mode is Mode.ENCODER or (mode is Mode.STARS and status is Status.DEGRADED)
+        is_unchecked = self._has_unresolved_fault or is_by_unchecked or status is Status.INVALID
         return integrity_report(
             estimate.time_ns,
             self._config,
@@ -111,13 +113,6 @@ class PointingLevels:
             self._excluded,
             is_checked=not is_unchecked,
         )
-
-
-_NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
-"""Empty factors and added covariances, if the ship's error has no step."""
-
-_TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
-_STARS, _STARS_AND_LIGHTS = int(Mode.STARS), int(Mode.STARS_AND_LIGHTS)
 
 
 class AxesAt(NamedTuple):
@@ -353,14 +348,9 @@ class PointingOutput:
         self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
     ) -> list[tuple[Status, str]]:
         """Return status and reason of each pointing; the reason of a VALID pointing is empty."""
-        known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
-        statuses = []
-        for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
-            status = known.get(kind)
-            if status is None:
-                status = known[kind] = self._pointing_status(state, *kind)
-            statuses.append(status)
-        return statuses
+        kinds = list(zip(modes, ship_statuses, unconfirmed_reasons, strict=True))
+        known = {kind: self._pointing_status(state, *kind) for kind in set(kinds)}
+        return [known[kind] for kind in kinds]
 
     def _pointing_status(
         self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str

@@ -41,6 +41,15 @@ from theodolite_calib.samples.tracks import MeasuredTracks
 _STATED_STEP_SIGMAS = 5.0
 """Possible step of a source's attitude, in multiples of the square root of the change of its stated variance."""
 
+AxisEstimator = TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
+"""Time-ordered estimator of the calibration filter."""
+
+_STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
+"""Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
+
+STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
+"""Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
+
 
 class ShipCheck:
     """Check of the ship's attitudes of one run, in the order of their stamps.
@@ -102,16 +111,6 @@ def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
     if config.ship.source == "ins/imu":
         return config.ins
     return CheckedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
-
-
-AxisEstimator = TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
-"""Time-ordered estimator of the calibration filter."""
-
-_STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
-"""Reasons of rejections that show a fault of the encoder or ship stream: stuck, repeated stamp, or jump."""
-
-STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
-"""Standard deviation of each zero point after encoders were stuck while the axis rotated, rad."""
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,16 @@ _CUBIC, _COMPONENTS = 3, 3
 _MIN_DEGREES = 9
 """Minimum degrees of freedom of the scatter for the test of a jump."""
 
+_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
+_STREAM_WINDOW_NS = 3 * SECOND_NS
+"""Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
+_LEAD_IN_NS = SECOND_NS
+"""Time before the checked range from which samples are used too, ns."""
+_DRIFT_WINDOW_NS = 60 * SECOND_NS
+"""Time range in which the ship's attitude is compared with its rates, ns."""
+_DROP_EVERY_NS = SECOND_NS // 10
+"""Interval at which old samples are dropped, ns."""
+
 
 @dataclass(frozen=True)
 class BaselineJump:
@@ -106,10 +116,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
             if self._times[last] - self._times[first - 1] > _MAX_SPAN_NS:
                 break
             first -= 1
-        return self._jump_among(first, last + 1)
-
-    def _jump_among(self, first: int, end: int) -> BaselineJump | None:
-        count = end - first
+        end, count = last + 1, last + 1 - first
         degrees = _COMPONENTS * (count - _CUBIC - 2)
         if degrees < _MIN_DEGREES:
             return None
@@ -126,20 +133,6 @@ class BaselineTrack(VectorTrack[BaselineSample]):
     def _are_joined(self, left: int) -> bool:
         both_good = self._samples[left].rejection is None and self._samples[left + 1].rejection is None
         return both_good and super()._are_joined(left)
-
-
-_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
-_FULL_TURN = 2.0 * np.pi
-_STREAM_WINDOW_NS = 3 * SECOND_NS
-"""Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
-_LEAD_IN_NS = SECOND_NS
-"""Time before the checked range from which samples are used too, ns."""
-
-_DRIFT_WINDOW_NS = 60 * SECOND_NS
-"""Time range in which the ship's attitude is compared with its rates, ns."""
-
-_DROP_EVERY_NS = SECOND_NS // 10
-"""Interval at which old samples are dropped, ns."""
 
 
 @dataclass(frozen=True)
@@ -166,16 +159,7 @@ class ShipAt:
 
 @dataclass(frozen=True)
 class ShipSeries:
-    """Ship's attitude at N times; the fields have the meaning of :class:`ShipAt`.
-
-    Attributes:
-        rotation_nd: shape (N, 3, 3).
-        rate_d: shape (N, 3).
-        correlated_covariance_n: shape (N, 3, 3); None if the configuration states it.
-        noise: shape (N,).
-        status: N statuses.
-        chord_nd: shape (N, 3, 3); None if the source is ins/imu.
-    """
+    """Ship's attitude at N times; the fields have the meaning of :class:`ShipAt`, with a leading axis of N."""
 
     rotation_nd: FloatArray
     rate_d: FloatArray
@@ -249,7 +233,7 @@ class MeasuredTracks:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.reconfigure(config)
         self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if self._by_ins else 0
-        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_to_ns(config.encoder.max_gap_s), _FULL_TURN)
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_to_ns(config.encoder.max_gap_s), 2.0 * np.pi)
         self.ship = AttitudeTrack(_to_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_to_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
         self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
