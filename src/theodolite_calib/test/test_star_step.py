@@ -298,7 +298,7 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None
     for number in range(20):
         state, decision = mount.step(state, session.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
         assert decision.accepted, decision.text
-    root = state.observability.root
+    root = state.observability
     assert np.all(np.isfinite(root))
     # Six combinations of axes and deformation are unknown; stars at one place determine three sums of them.
     assert mount.filter.observability.unobservable_combinations(state.observability)

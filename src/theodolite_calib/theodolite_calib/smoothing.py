@@ -124,31 +124,17 @@ def _trace_fields(**values: Any) -> Mapping[str, Any]:
     return values
 
 
-class _PointingInputs(NamedTuple):
-    """Inputs of a smoothed pointing besides the states.
-
-    Attributes:
-        sample: encoder reading.
-        ship: ship's attitude at the time of the reading.
-        separation_covariance_n: covariance added by the solution separations, rad², shape (3, 3).
-    """
-
-    sample: EncoderSample
-    ship: ShipAt
-    separation_covariance_n: FloatArray
-
-
 class _RealTimePointing(NamedTuple):
     """Pointing as published in real time.
 
     Attributes:
         estimate: pointing without the filter state and the covariance by source, because many pointings are stored.
-        inputs: inputs for smoothing; None if the pointing is not smoothed, because it was unconfirmed, had an
-            unresolved fault, was from stars alone, or is already smoothed.
+        inputs: encoder reading, and ship's attitude at its time; None if the pointing is not smoothed, because it was
+            unconfirmed, had an unresolved fault, was from stars alone, or is already smoothed.
     """
 
     estimate: PointingEstimate
-    inputs: _PointingInputs | None
+    inputs: tuple[EncoderSample, ShipAt] | None
 
 
 class SmoothingAxisCore(OpticalAxisCore):
@@ -199,19 +185,14 @@ class SmoothingAxisCore(OpticalAxisCore):
                 for times_ns, (means, covariances) in self._smoother.take_smoothed(batch[-1].estimate.time_ns)
                 for time_ns, mean, covariance in zip(times_ns, means, covariances, strict=True)
             }
-            for estimate, rests_on in batch:
+            for estimate, inputs in batch:
                 found = known.get(estimate.time_ns)
-                if found is None or rests_on is None:
-                    yield estimate
-                else:
-                    yield output.smooth(estimate, rests_on, found)
+                yield estimate if found is None or inputs is None else output.smooth(estimate, *inputs, found)
 
     def _store(self, estimate: PointingEstimate, pending: PendingPointing | None) -> None:
         inputs = None
         if pending is not None and not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
-            inputs = _PointingInputs(
-                pending.sample, pending.ship, estimate.covariance_n - estimate.covariance_without_separation_n
-            )
+            inputs = pending.sample, pending.ship
             if pending.ship.correlated_covariance_n is not None:
                 self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
             self._smoother.request_time(pending.time_ns)
@@ -249,10 +230,10 @@ class _SmoothedOutput:
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
     def smooth(
-        self, real_time: PointingEstimate, inputs: _PointingInputs, estimate: GaussianEstimate
+        self, real_time: PointingEstimate, sample: EncoderSample, ship: ShipAt, estimate: GaussianEstimate
     ) -> PointingEstimate:
         """Return a pointing computed from the smoothed states at its stamp."""
-        sample, ship, separation_covariance_n = inputs
+        separation_covariance_n = real_time.covariance_n - real_time.covariance_without_separation_n
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.covariance_by_source)
         mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
         # The smoothed ship's error already has the covariance stated at that time, so no step is applied.

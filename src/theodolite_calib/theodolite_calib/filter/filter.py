@@ -20,7 +20,7 @@ from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import AxisFaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
-from theodolite_calib.filter.observability import Observability, ObservabilityState
+from theodolite_calib.filter.observability import Observability
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.subfilters import AxisSubfilters, SubfilterStates
 from theodolite_calib.samples.encoder_check import EncoderJump
@@ -43,7 +43,7 @@ class CalibrationState:
         time_ns: time of the state; None before the first sighting or jump of the INS.
         mean: estimated errors, shape (..., n), mostly (n,).
         covariance_by_source: covariance of the estimate by error source, shape (..., n_sources, n, n).
-        observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
+        observability: root of the covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
         subfilters: states of the subfilters.
         fault_state: excluded sources and unresolved faults.
         solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in
@@ -65,7 +65,7 @@ class CalibrationState:
     time_ns: int | None
     mean: FloatArray
     covariance_by_source: FloatArray
-    observability: ObservabilityState
+    observability: FloatArray
     subfilters: SubfilterStates
     fault_state: AxisFaultState
     solution_separation: FloatArray
@@ -151,7 +151,7 @@ class CalibrationFilter:
             None,
             mean,
             covariance_by_source,
-            self.observability.initial_state(),
+            self.observability.initial_root(),
             subfilters,
             initial_fault_state(self.subfilters),
             solution_separation,

@@ -14,7 +14,7 @@ covariance is therefore propagated. Stacked roots are combined by QR decompositi
 negative (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,15 +37,10 @@ _UNKNOWN = 1000.0
 """Initial standard deviation of an unknown error, in standard deviations of the configuration."""
 
 
-@dataclass(frozen=True)
-class ObservabilityState:
-    """State with the root of the covariance from the sightings alone, shape (n, n); covariance = root @ root.T."""
-
-    root: FloatArray
-
-
 class Observability:
     """Observability of the states of a filter from its sightings.
+
+    ``root`` is the root of the covariance from the sightings alone, shape (n, n); covariance = root @ root.T.
 
     Args:
         model: states of the filter.
@@ -78,32 +73,30 @@ class Observability:
         order = [names.index(name) for name in _ELIMINATION_ORDER if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._state_indices = [names[i] for i in order], sigma[order], rows[order]
 
-    def initial_state(self) -> ObservabilityState:
-        """Return the state before any sighting."""
-        return ObservabilityState(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
+    def initial_root(self) -> FloatArray:
+        """Return the root before any sighting."""
+        return np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()]))
 
-    def propagate(
-        self, state: ObservabilityState, dt_s: float, ship_covariance_n: FloatArray | None
-    ) -> ObservabilityState:
+    def propagate(self, root: FloatArray, dt_s: float, ship_covariance_n: FloatArray | None) -> FloatArray:
         """Propagate by ``dt_s``; ``ship_covariance_n`` is the stated stationary covariance of the ship's error."""
         decay, noise = self._model.transition(dt_s)
-        roots = [decay[:, None] * state.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
+        roots = [decay[:, None] * root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
         if ship_covariance_n is not None:
             roots.append(self._ship_root((1.0 - decay[self._ship][0] ** 2) * ship_covariance_n))
-        return ObservabilityState(_triangle(np.hstack(roots)))
+        return _triangle(np.hstack(roots))
 
-    def with_ship_step(self, state: ObservabilityState, step: ShipErrorStep) -> ObservabilityState:
-        """Apply a step of the ship's error."""
-        root = state.root.copy()
+    def with_ship_step(self, root: FloatArray, step: ShipErrorStep) -> FloatArray:
+        """Return the root after a step of the ship's error."""
+        root = root.copy()
         root[self._ship] *= step.retained[:, None]
-        return ObservabilityState(_triangle(np.hstack([root, self._ship_root(step.added_n)])))
+        return _triangle(np.hstack([root, self._ship_root(step.added_n)]))
 
-    def update(self, state: ObservabilityState, jacobian: FloatArray, noise: FloatArray) -> ObservabilityState:
+    def update(self, root: FloatArray, jacobian: FloatArray, noise: FloatArray) -> FloatArray:
         """Update with a sighting that has the filter's Jacobian (m, n) and noise (m, m)."""
-        root, (size, states) = state.root, jacobian.shape
+        size, states = jacobian.shape
         both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
         # The upper rows are the root of the innovation's covariance; the lower right is the root after the update.
-        return ObservabilityState(_triangle(both)[size:, size:])
+        return _triangle(both)[size:, size:]
 
     def _ship_root(self, covariance_n: FloatArray) -> FloatArray:
         """Return the root of a covariance of the ship's error, rad², shape (3, 3), for all states, shape (n, 3)."""
@@ -111,9 +104,9 @@ class Observability:
         root[self._ship] = square_root(covariance_n)
         return root
 
-    def unobservable_combinations(self, state: ObservabilityState) -> tuple[str, ...]:
+    def unobservable_combinations(self, root: FloatArray) -> tuple[str, ...]:
         """Return the combinations of errors that the sightings cannot separate, such as ``g - deformation_up``."""
-        root = state.root[self._state_indices]
+        root = root[self._state_indices]
         return unobservable_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
 
 

@@ -107,7 +107,6 @@ class ShipCheck:
 
 
 def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
-    """Return the configuration of the check, for the INS or for the fused attitude."""
     if config.ship.source == "ins/imu":
         return config.ins
     return CheckedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
@@ -115,11 +114,7 @@ def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
 
 @dataclass(frozen=True)
 class StreamJump:
-    """Jump that was detected in the encoder or ship stream itself.
-
-    Attributes:
-        jump: jump of the encoders or of the ship's attitude.
-    """
+    """Jump of the encoders or of the ship's attitude that its stream itself has shown."""
 
     jump: Jump
 
