@@ -17,16 +17,14 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
+from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput, PointingSeries
 from theodolite_calib.samples.samples import (
     EncoderSample,
-    EncoderSeries,
     Exposure,
     Mode,
     PointingEstimate,
-    PointingSeries,
 )
-from theodolite_calib.samples.tracks import ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
 
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12

@@ -8,7 +8,8 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import angles_from_rotation, enu_covariance, mounting_quaternion, quaternion_from_rotation
 from ship_geometry.rotations import exp_rotation
 from theodolite_calib.messages.output_messages import PointingNumbers, pointing_messages, pointing_rows
-from theodolite_calib.samples.samples import Mode, PointingEstimate, PointingSeries
+from theodolite_calib.optical_axis.output import PointingSeries
+from theodolite_calib.samples.samples import Mode, PointingEstimate
 
 LEVER = {"x": 12.0, "y": 2.0, "z": 3.0}
 KINDS = [

@@ -14,9 +14,9 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.output import CorrectedAxis
-from theodolite_calib.samples.samples import EncoderSeries, Exposure
+from theodolite_calib.samples.samples import Exposure
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.tracks import ShipSeries
+from theodolite_calib.samples.tracks import EncoderSeries, ShipSeries
 
 SEEDS = 16
 SWEEP_S = np.arange(0.0, 301.0)

@@ -17,8 +17,9 @@ from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.config import MainDetectorConfig, OpticalAxisConfig
+from theodolite_calib.messages.output_messages import direction_angles
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.optical_axis.target_direction import direction_angles, observed_direction, ranged_position
+from theodolite_calib.optical_axis.target_direction import observed_direction, ranged_position
 from theodolite_calib.samples.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
 
 SECOND_NS = 1_000_000_000

@@ -32,9 +32,9 @@ from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
 from theodolite_calib.samples.encoder_check import EncoderJump
-from theodolite_calib.samples.samples import EncoderSample, EncoderSeries, PointingEstimate, StampArray
+from theodolite_calib.samples.samples import EncoderSample, PointingEstimate, StampArray
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.tracks import ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
 
 _MAX_BATCH = 1000
 """Maximum number of pointings that are smoothed together."""

@@ -57,14 +57,13 @@ from theodolite_calib.messages.output_messages import (
 )
 from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior, calibration_from_state
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.optical_axis.output import QUANTITIES, invalid_pointing
+from theodolite_calib.optical_axis.output import QUANTITIES, PointingSeries, invalid_pointing
 from theodolite_calib.samples.samples import (
     Exposure,
     ExposureDecision,
     Mode,
     PointingEstimate,
     PointingOutcome,
-    PointingSeries,
     ShipSample,
 )
 

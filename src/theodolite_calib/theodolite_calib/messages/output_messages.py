@@ -38,11 +38,11 @@ from ship_node.messages.common_messages import (
     single_numbers,
 )
 from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
-from theodolite_calib.optical_axis.target_direction import direction_angles
-from theodolite_calib.samples.samples import PointingEstimate, PointingSeries, StampArray, TargetEstimate
+from theodolite_calib.samples.samples import PointingEstimate, StampArray, TargetEstimate
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
+    from theodolite_calib.optical_axis.output import PointingSeries
 
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
@@ -63,7 +63,7 @@ class PointingNumbers(NamedTuple):
     rotation_dm: FloatArray
 
     @classmethod
-    def from_series(cls, series: Sequence[PointingSeries]) -> "PointingNumbers":
+    def from_series(cls, series: Sequence["PointingSeries"]) -> "PointingNumbers":
         """Return the numbers of several series in sequence."""
         return cls(*join_fields(series, cls._fields))
 
@@ -212,6 +212,23 @@ def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: 
         position_covariance=enu_covariance(estimate.position_covariance_n).ravel(),
         status=int(estimate.status),
     )
+
+
+def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return azimuth in [0, 2 pi) and elevation, shape (2,), of a unit vector, and their covariance, rad², (2, 2).
+
+    The covariance is NaN within 0.1° of the zenith and the nadir.
+    """
+    north, up, east = direction_n.tolist()
+    horizontal = np.hypot(north, east)
+    angles = np.array([np.arctan2(east, north) % (2.0 * np.pi), np.arctan2(up, horizontal)])
+    if not abs(angles[1]) <= SINGULAR_ELEVATION:
+        return angles, np.full((2, 2), np.nan)
+    by_direction = np.array([
+        [-east / horizontal**2, 0.0, north / horizontal**2],
+        [-up * north / horizontal, horizontal, -up * east / horizontal],
+    ])  # fmt: skip
+    return angles, by_direction @ covariance_n @ by_direction.T
 
 
 def _enu(vector_n: FloatArray) -> dict[str, float]:

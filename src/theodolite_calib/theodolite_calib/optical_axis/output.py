@@ -7,6 +7,7 @@ subfilters (:mod:`theodolite_calib.filter.subfilters`).
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from typing import NamedTuple
 
@@ -41,13 +42,11 @@ from theodolite_calib.filter.model import (
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.samples.samples import (
     EncoderSample,
-    EncoderSeries,
     Mode,
     PointingEstimate,
-    PointingSeries,
     StampArray,
 )
-from theodolite_calib.samples.tracks import ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 """Quantities bounded by the protection levels."""
@@ -197,6 +196,39 @@ class CorrectedAxis:
             *self._sources,
         )
         return AxesAt(*arrays)
+
+
+@dataclass(frozen=True)
+class PointingSeries:
+    """Pointings of the main axis at N times in ascending order, from one state.
+
+    The fields have the meaning of :class:`PointingEstimate`, with a leading axis of N except for ``state``.
+    """
+
+    time_ns: StampArray
+    rotation_nm: FloatArray
+    covariance_by_source_n: FloatArray
+    covariance_n: FloatArray
+    covariance_without_separation_n: FloatArray
+    rotation_nt: FloatArray
+    mode: NDArray[np.int64]
+    status: list[Status]
+    light_count: NDArray[np.int64]
+    state: CalibrationState = field(repr=False)
+    text: list[str]
+    by_error_n: FloatArray
+    rotation_dm: FloatArray
+
+    def subset(self, indices: slice) -> "PointingSeries":
+        """Return a slice of the series."""
+        values = {name: value if name == "state" else value[indices] for name, value in vars(self).items()}
+        return PointingSeries(**values)
+
+    def estimate(self, index: int) -> PointingEstimate:
+        """Return one pointing of the series."""
+        values = {name: value if name == "state" else value[index] for name, value in vars(self).items()}
+        numbers = {"time_ns": int(values["time_ns"]), "light_count": int(values["light_count"])}
+        return PointingEstimate(**values | numbers | {"mode": Mode(values["mode"])})
 
 
 class PendingPointing(NamedTuple):

@@ -23,7 +23,7 @@ from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus, solve_s
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices, parallelism_block
-from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
+from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, PointingSeries, invalid_pointing
 from theodolite_calib.optical_axis.streams import AxisEstimator, MeasuredStreams
 from theodolite_calib.optical_axis.targets import TargetProcessor
 from theodolite_calib.samples.samples import (
@@ -31,7 +31,6 @@ from theodolite_calib.samples.samples import (
     Mode,
     PointingEstimate,
     PointingOutcome,
-    PointingSeries,
     ShipSample,
     TargetSample,
 )

@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_estimation.parameters.theodolite_devices import MainDetectorOptics
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.frames import SINGULAR_ELEVATION, rotation_from_angles
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AXES, SHIP, axis_geometry
 from ship_geometry.mount.image import Camera
 from ship_geometry.mount.line_of_sight import EARTH_RADIUS_M
@@ -71,23 +71,6 @@ def observed_direction(
 
 def _camera(detector: MainDetectorOptics) -> Camera:
     return Camera(detector.focal_length_m, detector.focal_length_sigma_m, detector.principal_point_m)
-
-
-def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return azimuth in [0, 2 pi) and elevation, shape (2,), of a unit vector, and their covariance, rad², (2, 2).
-
-    The covariance is NaN within 0.1° of the zenith and the nadir.
-    """
-    north, up, east = direction_n.tolist()
-    horizontal = np.hypot(north, east)
-    angles = np.array([np.arctan2(east, north) % (2.0 * np.pi), np.arctan2(up, horizontal)])
-    if not abs(angles[1]) <= SINGULAR_ELEVATION:
-        return angles, np.full((2, 2), np.nan)
-    by_direction = np.array([
-        [-east / horizontal**2, 0.0, north / horizontal**2],
-        [-up * north / horizontal, horizontal, -up * east / horizontal],
-    ])  # fmt: skip
-    return angles, by_direction @ covariance_n @ by_direction.T
 
 
 @dataclass(frozen=True)

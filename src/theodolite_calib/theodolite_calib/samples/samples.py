@@ -1,7 +1,6 @@
 """Inputs and outputs of the optical-axis core: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -45,43 +44,6 @@ class EncoderSample(VectorSample):
         """See :meth:`VectorSample.content`."""
         sigma: bytes = np.float64(self.sigma).tobytes()
         return super().content() + sigma
-
-
-@dataclass(frozen=True)
-class EncoderSeries:
-    """N encoder readings with the result of their check.
-
-    Attributes:
-        time_ns: stamps in ascending order, shape (N,).
-        angles: azimuth and elevation, rad, shape (N, 2).
-        variance: variance of each angle due to noise and unconfirmed steps, rad², shape (N,).
-        unconfirmed_reasons: reason why each reading is unconfirmed; empty if it is confirmed.
-    """
-
-    time_ns: StampArray
-    angles: FloatArray
-    variance: FloatArray
-    unconfirmed_reasons: list[str]
-
-    @classmethod
-    def from_samples(
-        cls,
-        samples: Sequence[EncoderSample],
-        unconfirmed_reasons: Sequence[str],
-        unconfirmed_sigmas_rad: Sequence[float],
-    ) -> "EncoderSeries":
-        """Return the series of some readings.
-
-        ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle.
-        """
-        variances = [
-            sample.sigma**2 + unconfirmed_sigma_rad**2
-            for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)
-        ]
-        times_ns = np.array([sample.time_ns for sample in samples])
-        return cls(
-            times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons)
-        )
 
 
 @dataclass(frozen=True)
@@ -306,39 +268,6 @@ class PointingEstimate:
     text: str
     by_error_n: FloatArray
     rotation_dm: FloatArray
-
-
-@dataclass(frozen=True)
-class PointingSeries:
-    """Pointings of the main axis at N times in ascending order, from one state.
-
-    The fields have the meaning of :class:`PointingEstimate`, with a leading axis of N except for ``state``.
-    """
-
-    time_ns: StampArray
-    rotation_nm: FloatArray
-    covariance_by_source_n: FloatArray
-    covariance_n: FloatArray
-    covariance_without_separation_n: FloatArray
-    rotation_nt: FloatArray
-    mode: NDArray[np.int64]
-    status: list[Status]
-    light_count: NDArray[np.int64]
-    state: Any = field(repr=False)
-    text: list[str]
-    by_error_n: FloatArray
-    rotation_dm: FloatArray
-
-    def subset(self, indices: slice) -> "PointingSeries":
-        """Return a slice of the series."""
-        values = {name: value if name == "state" else value[indices] for name, value in vars(self).items()}
-        return PointingSeries(**values)
-
-    def estimate(self, index: int) -> PointingEstimate:
-        """Return one pointing of the series."""
-        values = {name: value if name == "state" else value[index] for name, value in vars(self).items()}
-        numbers = {"time_ns": int(values["time_ns"]), "light_count": int(values["light_count"])}
-        return PointingEstimate(**values | numbers | {"mode": Mode(values["mode"])})
 
 
 @dataclass

@@ -27,7 +27,14 @@ from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposu
 from ship_geometry.tracks.sample_track import SampleTrack, VectorTrack
 from ship_kernels import compiled_tracks
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.samples.samples import AnyExposure, BaselineSample, EncoderSample, Exposure, ShipSample
+from theodolite_calib.samples.samples import (
+    AnyExposure,
+    BaselineSample,
+    EncoderSample,
+    Exposure,
+    ShipSample,
+    StampArray,
+)
 from theodolite_calib.samples.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 
 _MAX_SOLUTIONS, _MIN_BEFORE_STEP = 14, 5
@@ -196,6 +203,43 @@ class EncoderAt:
     azimuth: float
     elevation: float
     noise: float
+
+
+@dataclass(frozen=True)
+class EncoderSeries:
+    """N encoder readings with the result of their check.
+
+    Attributes:
+        time_ns: stamps in ascending order, shape (N,).
+        angles: azimuth and elevation, rad, shape (N, 2).
+        variance: variance of each angle due to noise and unconfirmed steps, rad², shape (N,).
+        unconfirmed_reasons: reason why each reading is unconfirmed; empty if it is confirmed.
+    """
+
+    time_ns: StampArray
+    angles: FloatArray
+    variance: FloatArray
+    unconfirmed_reasons: list[str]
+
+    @classmethod
+    def from_samples(
+        cls,
+        samples: Sequence[EncoderSample],
+        unconfirmed_reasons: Sequence[str],
+        unconfirmed_sigmas_rad: Sequence[float],
+    ) -> "EncoderSeries":
+        """Return the series of some readings.
+
+        ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle.
+        """
+        variances = [
+            sample.sigma**2 + unconfirmed_sigma_rad**2
+            for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)
+        ]
+        times_ns = np.array([sample.time_ns for sample in samples])
+        return cls(
+            times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons)
+        )
 
 
 @dataclass(frozen=True)
