@@ -60,13 +60,7 @@ class AllowedPlaces:
 
     @classmethod
     def around_axis(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
-        """Return the allowed positions around the telescope's axis.
-
-        Args:
-            limits: configured limits.
-            centre_n: vector from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
-            rotation_nt: horizon from telescope, shape (3, 3).
-        """
+        """Return the allowed positions around the telescope's axis, from horizon from telescope, shape (3, 3)."""
         azimuth, elevation, _ = angles_from_rotation(rotation_nt).tolist()
         field = np.deg2rad(limits.field_deg) * (1.0 - _BOX_MARGIN)
         least = max(float(np.deg2rad(limits.elevation_min_deg)), elevation - field)

@@ -129,14 +129,7 @@ class SightingStep:
     def _evaluate(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Return state and decision after a sighting.
-
-        Args:
-            state: state after the previous sighting.
-            predicted: ``state`` propagated to the sighting, possibly with further excluded sources.
-            sighting: beacons with complete data.
-            exposure: exposure of the sighting.
-        """
+        """Return state and decision; ``predicted`` is the propagated state, possibly with further excluded sources."""
         excluded = predicted.fault_state.excluded.keys()
         unused_state = state if excluded == state.fault_state.excluded.keys() else predicted
         rows = range(len(sighting.names))

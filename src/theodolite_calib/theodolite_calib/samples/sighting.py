@@ -72,7 +72,7 @@ class AssembledSighting:
     Attributes:
         sighting: sighting of the beacons with complete data, or a rejection without such beacons.
         rejected_beacons: rejections of beacons without complete data, by name.
-        jumps: baseline jumps of the sighting's beacons, by name.
+        jumps: baseline jumps of the beacons with complete data, by name.
     """
 
     sighting: Sighting | Rejection
@@ -122,25 +122,23 @@ class SightingAssembler:
         jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
             return AssembledSighting(sighting, tuple(rejected), jumps)
-        at_middle = self._at_middle(sighting, exposure.nodes)
-        if at_middle is None:
-            text = f"no encoder readings or attitudes of the ship over the whole exposure of {exposure.exposure_s:g} s"
-            return AssembledSighting(Rejection(Reason.GAP, text), tuple(rejected))
+        at_middle = self._at_middle(sighting, exposure.exposure_s, exposure.nodes)
         return AssembledSighting(at_middle, tuple(rejected), jumps)
 
-    def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
-        """Return a sighting with its points at the middle of the exposure; None if samples are missing.
+    def _at_middle(self, sighting: Sighting, exposure_s: float, nodes: Nodes) -> Sighting | Rejection:
+        """Return a sighting with its points at the middle of the exposure, or a rejection if samples are missing.
 
         The detected points are means over the exposure. Ship and encoders of the sighting have their values at the
         middle, and the noise of their means over the exposure.
         """
         tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
-        times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
-        ships, encoders = [tracks.ship_at(t) for t in times_ns], [tracks.encoder_at(t) for t in times_ns]
-        attitudes = np.array([ship.rotation_nd for ship in ships if ship is not None])
-        angles = np.array([[encoder.azimuth, encoder.elevation] for encoder in encoders if encoder is not None])
-        if min(len(attitudes), len(angles)) < len(times_ns):
-            return None
+        at_nodes = [tracks.axes_at(sighting.time_ns + offset_ns) for offset_ns in nodes.offset_ns]
+        known = [axes for axes in at_nodes if not isinstance(axes, Rejection)]
+        if len(known) < len(at_nodes):
+            text = f"no encoder readings or attitudes of the ship over the whole exposure of {exposure_s:g} s"
+            return Rejection(Reason.GAP, text)
+        attitudes = np.array([ship.rotation_nd for ship, _ in known])
+        angles = np.array([[encoder.azimuth, encoder.elevation] for _, encoder in known])
         axes = tracks.axes_at(sighting.time_ns, nodes)
         assert not isinstance(axes, Rejection)  # the nodes include the middle
         ship, encoder = axes

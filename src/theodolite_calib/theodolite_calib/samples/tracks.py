@@ -379,13 +379,10 @@ class MeasuredTracks:
             axes: axis errors.
         """
         times_ns = [node_ns for node_ns, _ in nodes.times_and_weights(time_ns)]
-        ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
-        rotations_nm = [
-            ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
-            for ship, encoder in zip(ships, encoders, strict=True)
-            if ship is not None and encoder is not None
-        ]
-        return np.array(rotations_nm) if len(rotations_nm) == len(times_ns) else None
+        known = [at for at in map(self.axes_at, times_ns) if not isinstance(at, Rejection)]
+        if len(known) < len(times_ns):
+            return None
+        return np.array([ship.rotation_nd @ main_axis_rotation(axes, at.azimuth, at.elevation) for ship, at in known])
 
     def stream_consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
         """Return the consistency of the encoder and ship streams between two times; None if the range is too long."""
