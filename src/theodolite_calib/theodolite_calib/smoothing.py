@@ -292,9 +292,7 @@ class AxisStatePredictor:
     predicts_before_first = True
     """True: before the first sighting all errors have their prior at any time."""
 
-    def __init__(
-        self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
-    ) -> None:
+    def __init__(self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
         self.state_indices = np.concatenate([axis_state_indices(self._model), self._model.state_indices("parallelism")])
         # The ship's error comes first, both among all states and among the predicted states.

@@ -39,6 +39,15 @@ from theodolite_calib.triangulation.triangulation_core import (
     position_at,
 )
 
+COLUMNS = (
+    *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
+    *("cov_east_north_m2", "cov_east_up_m2", "cov_north_up_m2", "chi_square", "gate", "fits", "status", "stations"),
+)
+"""Columns of the table that is written."""
+
+_EAST_NORTH_UP = [2, 0, 1]
+"""Indices of East, North, Up in (North, Up, East)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedStationConfig(StationPositionConfig):
@@ -101,16 +110,6 @@ def _recorded_directions(path: Path, topic: str, station: str, target_id: str) -
         there = ", ".join(sorted(others)) or "none"
         raise BadInput(f"topic '{topic}' has no direction of target '{target_id}' (other targets: {there})", file=path)
     return found
-
-
-COLUMNS = (
-    *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
-    *("cov_east_north_m2", "cov_east_up_m2", "cov_north_up_m2", "chi_square", "gate", "fits", "status", "stations"),
-)
-"""Columns of the table that is written."""
-
-_EAST_NORTH_UP = [2, 0, 1]
-"""Indices of East, North, Up in (North, Up, East)."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

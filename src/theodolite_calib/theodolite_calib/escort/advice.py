@@ -37,6 +37,15 @@ _POLE = 1e-12
 _MIN_RANGE_M = 1.0
 """Minimum range of a beacon, m; a closer position is on board."""
 
+_REFINED_STARTS = 2
+"""Number of starting points that are refined."""
+_MIN_GAIN = 0.005
+"""Relative gain of accuracy below which the previous positions are kept, because the gain is not worth a move."""
+_RANGES = (0.0, 0.35, 0.7, 1.0)
+_ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
+_TOLERANCE = 1e-4
+_MAX_STEPS = 40
+
 
 @dataclass(frozen=True)
 class AllowedPlaces:
@@ -172,16 +181,6 @@ def _ratio(part: FloatArray, whole: FloatArray | float) -> FloatArray:
     """Return the ratio of a part to the whole; 0 if the whole is 0."""
     share: FloatArray = part / np.where(np.asarray(whole) == 0.0, np.inf, whole)
     return share
-
-
-_REFINED_STARTS = 2
-"""Number of starting points that are refined."""
-_MIN_GAIN = 0.005
-"""Relative gain of accuracy below which the previous positions are kept, because the gain is not worth a move."""
-_RANGES = (0.0, 0.35, 0.7, 1.0)
-_ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
-_TOLERANCE = 1e-4
-_MAX_STEPS = 40
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,9 @@ LONGEST_TARGET_ID = 100
 """Maximum number of characters of a target's name; longer names are cut."""
 _LONGEST_RANGE_M = 1e6
 """Largest range of a target, m. Targets outside the air, such as satellites, must have no range."""
+_NORM_TOLERANCE = 1e-3
+_LEAST_SHARE = 1e-9
+"""Ratio of the smaller to the larger variance across a direction up to which the covariance counts as singular."""
 
 
 def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[EncoderSample]:
@@ -334,11 +337,6 @@ def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconCon
         return map(ReadMessage, map(AttitudeSample, times_ns[good].tolist(), rotations_nb))
 
     return read_valid(messages, beacon.imu.frame_id, good, samples)
-
-
-_NORM_TOLERANCE = 1e-3
-_LEAST_SHARE = 1e-9
-"""Ratio of the smaller to the larger variance across a direction up to which the covariance counts as singular."""
 
 
 def direction(

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
 SMOOTHED_POINTING_TOPIC = "theodolite/pointing_smoothed"
+TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/TargetDirection"
+ESCORT_TOPIC, ESCORT_TYPE = "theodolite/escort", "ship_msgs/msg/EscortAdvice"
 _TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotation"
 
 
@@ -192,9 +194,6 @@ def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
     )
 
 
-TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/TargetDirection"
-
-
 def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str) -> Any:
     """Return ship_msgs/TargetDirection of one image; all numbers are NaN if INVALID."""
     (azimuth, elevation), covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
@@ -233,9 +232,6 @@ def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple
 
 def _enu(vector_n: FloatArray) -> dict[str, float]:
     return dict(zip("xyz", (ENU_FROM_HORIZON @ vector_n).tolist(), strict=True))
-
-
-ESCORT_TOPIC, ESCORT_TYPE = "theodolite/escort", "ship_msgs/msg/EscortAdvice"
 
 
 def escort_message(

@@ -314,9 +314,7 @@ class PointingOutput:
             self._corrected = CorrectedAxis(self._filter, state)
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.fault_state.unresolved_fault is not None:
-            axes.covariance_by_source_n[:, self._disagreement_source] += (
-                state.fault_state.unresolved_fault.covariance_n
-            )
+            axes.covariance_by_source_n[:, self._disagreement_source] += state.fault_state.unresolved_fault.covariance_n
         lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.

@@ -32,6 +32,17 @@ from theodolite_calib.triangulation.triangulation import (
     triangulate,
 )
 
+MAX_TARGETS = 100
+"""Maximum number of targets; the directions name the targets, so their number has no other limit.
+
+Beyond it the target received longest ago is dropped, and its pending directions are answered as INVALID.
+"""
+
+MAX_WAITING = 1000
+"""Maximum number of pending directions to one target; beyond it the oldest directions are answered without waiting."""
+
+_LATE = Rejection(Reason.LATE, "too late: later positions of the target were published, or the target was dropped")
+
 
 @dataclass(frozen=True)
 class DirectionSample(VectorSample):
@@ -140,18 +151,6 @@ def position_at(time_ns: int, stations: Sequence[StationDirections], config: Pos
         stations=tuple(direction.station.name for direction in directions),
         status=max((status for _, status in observations), default=Status.INVALID),
     )
-
-
-MAX_TARGETS = 100
-"""Maximum number of targets; the directions name the targets, so their number has no other limit.
-
-Beyond it the target received longest ago is dropped, and its pending directions are answered as INVALID.
-"""
-
-MAX_WAITING = 1000
-"""Maximum number of pending directions to one target; beyond it the oldest directions are answered without waiting."""
-
-_LATE = Rejection(Reason.LATE, "too late: later positions of the target were published, or the target was dropped")
 
 
 @dataclass(frozen=True)
