@@ -72,8 +72,16 @@ class PointingNumbers(NamedTuple):
     @classmethod
     def from_estimate(cls, estimate: PointingEstimate) -> "PointingNumbers":
         """Return the numbers of one pointing."""
-        values: dict[str, Any] = {name: np.asarray(getattr(estimate, name))[None] for name in cls._fields}
-        return cls(**values | {"status": [estimate.status]})
+        return cls(
+            time_ns=np.array([estimate.time_ns]),
+            rotation_nm=estimate.rotation_nm[None],
+            covariance_n=estimate.covariance_n[None],
+            rotation_nt=estimate.rotation_nt[None],
+            mode=np.array([estimate.mode]),
+            status=[estimate.status],
+            light_count=np.array([estimate.light_count]),
+            rotation_dm=estimate.rotation_dm[None],
+        )
 
     def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
         """Return the numbers of the pointings with given indices."""

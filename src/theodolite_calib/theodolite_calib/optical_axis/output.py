@@ -1,8 +1,7 @@
 """Pointings at encoder readings with their protection levels, from a filter state and the ship's attitude.
 
-One function computes both the single pointing of a live node and the pointings of a batch. The module
-:mod:`ship_estimation.integrity.protection_levels` computes the protection levels from the solution separations of the
-subfilters (:mod:`theodolite_calib.filter.subfilters`).
+One function computes both the single pointing of a live node and the pointings of a batch. The protection levels follow
+from the solution separations of the subfilters (:mod:`ship_estimation.integrity.protection_levels`).
 """
 
 import math
@@ -64,10 +63,7 @@ class PointingLevels:
     Args:
         filter_: filter with its model.
         config: parameters of the node.
-        state: state of the filter.
-
-    Attributes:
-        state: state of the filter.
+        state: state of the filter, also an attribute.
     """
 
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
@@ -87,8 +83,8 @@ class PointingLevels:
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= math.cos(elevation)
-        # The levels already include the separations. The errors of a pointing besides the state, such as the
-        # noise of the encoders, are equal in every subfilter.
+        # The levels already include the separations. Errors besides the state, such as the noise of the encoders, are
+        # equal in every subfilter.
         result = protection_levels(
             self._multipliers,
             self._subfilter_indices,
@@ -226,9 +222,21 @@ class PointingSeries:
 
     def estimate(self, index: int) -> PointingEstimate:
         """Return one pointing of the series."""
-        values = {name: value if name == "state" else value[index] for name, value in vars(self).items()}
-        numbers = {"time_ns": int(values["time_ns"]), "light_count": int(values["light_count"])}
-        return PointingEstimate(**values | numbers | {"mode": Mode(values["mode"])})
+        return PointingEstimate(
+            time_ns=int(self.time_ns[index]),
+            rotation_nm=self.rotation_nm[index],
+            covariance_by_source_n=self.covariance_by_source_n[index],
+            covariance_n=self.covariance_n[index],
+            covariance_without_separation_n=self.covariance_without_separation_n[index],
+            rotation_nt=self.rotation_nt[index],
+            mode=Mode(self.mode[index]),
+            status=self.status[index],
+            light_count=int(self.light_count[index]),
+            state=self.state,
+            text=self.text[index],
+            by_error_n=self.by_error_n[index],
+            rotation_dm=self.rotation_dm[index],
+        )
 
 
 class PendingPointing(NamedTuple):
@@ -378,9 +386,14 @@ class PointingOutput:
         self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
     ) -> list[tuple[Status, str]]:
         """Return status and reason of each pointing; the reason of a VALID pointing is empty."""
-        kinds = list(zip(modes, ship_statuses, unconfirmed_reasons, strict=True))
-        known = {kind: self._pointing_status(state, *kind) for kind in set(kinds)}
-        return [known[kind] for kind in kinds]
+        known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
+        statuses = []
+        for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
+            status = known.get(kind)
+            if status is None:
+                status = known[kind] = self._pointing_status(state, *kind)
+            statuses.append(status)
+        return statuses
 
     def _pointing_status(
         self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str
