@@ -100,7 +100,7 @@ def one_by_one(core, run, wanted_ns):
             sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
             yield core.ins.add(sample, estimate=time_ns in wanted_ns)
         elif source in SKY_SOURCES:
-            yield core.add_sky_input(sky_input(run, source, index))
+            yield core.add_surroundings(sky_input(run, source, index))
         else:
             yield core.add_measurement(measurement_of(run, source, index))
 

@@ -48,7 +48,7 @@ def outcomes_with_solutions(
             yield core.ins.add(sample, estimate=index in output_samples)
         elif source in SKY_SOURCES:
             solver.add_surroundings(sky_input(run, source, index))
-            yield core.add_sky_input(sky_input(run, source, index))
+            yield core.add_surroundings(sky_input(run, source, index))
         else:
             solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
         for one in solved:

@@ -241,7 +241,7 @@ def test_fixes_in_any_order_end_in_the_same_state():
         core.sky_model.reset()
         for item in order:
             if isinstance(item, PositionFix):
-                core.add_sky_input(item)
+                core.add_surroundings(item)
             elif isinstance(item, AttitudeSample):
                 core.ins.add(item, estimate=False)
             else:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual, consistency_text, heading_hint
+from ship_attitude_star.ship_attitude.decision_effects import consistency_text, heading_hint
+from ship_attitude_star.ship_attitude.state import AttitudeResidual
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
+from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_estimation.parameters.ship_devices import StarInsConfig

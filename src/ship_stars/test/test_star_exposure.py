@@ -213,7 +213,7 @@ def test_the_filter_models_streaks(sky_model):
 
 def core_with_fix(sky_model) -> ShipAttitudeCore:
     core = ShipAttitudeCore(CONFIG, sky_model)
-    core.add_sky_input(PositionFix(TIME_NS - SECOND_NS, POSITION, 25.0 * np.eye(3)))
+    core.add_surroundings(PositionFix(TIME_NS - SECOND_NS, POSITION, 25.0 * np.eye(3)))
     return core
 
 

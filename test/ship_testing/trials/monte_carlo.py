@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
+from ship_attitude_star.plausibility import CheckedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.ins_input import InsBatch
@@ -134,9 +134,9 @@ def attitude_outcomes(
             continue
         yield from ins.commit()
         if source in SKY_SOURCES:
-            yield core.add_sky_input(sky_input(run, source, index))
+            yield core.add_surroundings(sky_input(run, source, index))
         elif source == DEFLECTION_SOURCE:
-            yield core.add_deflection(deflection_reading(run, index))
+            yield core.add_surroundings(deflection_reading(run, index))
         elif source == BASELINE_SOURCE:
             yield core.add_measurement(baseline_measurement(run, index))
         else:

@@ -8,8 +8,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
-from ship_attitude_star.adapters.sensor_feeds import sensor_feeds
-from ship_attitude_star.messages import input_messages
 from ship_attitude_star.messages.attitude_messages import (
     ATTITUDE_TOPIC,
     ATTITUDE_TYPE,
@@ -31,6 +29,7 @@ from ship_attitude_star.messages.attitude_messages import (
     smoothed_message,
     star_frames,
 )
+from ship_attitude_star.messages.input_messages import deflection, sensor_feeds
 from ship_attitude_star.ship_attitude.alignment import (
     AlignmentPrior,
     current_alignment,
@@ -73,7 +72,7 @@ from ship_node.messages.sensor_readers import ins_block, ins_sample, sigma_misma
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
 from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries
-from ship_stars.messages import surroundings_messages
+from ship_stars.messages.surroundings_messages import position_feed, surroundings_feeds
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 
 INTEGRITY_TOPIC = "ship/integrity"
@@ -209,12 +208,12 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         yield Feed(ins, "ins", read_ins, core.ins.add, block=block, stream_quantity=ATTITUDE)
         yield from sensor_feeds(config, core, self._sky_model)
         if self._sky_model is not None:
-            yield from surroundings_messages.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
+            yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings))
         elif config.needs_vertical:
-            yield surroundings_messages.position_feed(config.sky, ignore_time(core.add_sky_input))
+            yield position_feed(config.sky, ignore_time(core.add_surroundings))
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, is_valid_until_next=True)
-            yield Feed(given, "gravity/deflection", input_messages.deflection, ignore_time(core.add_deflection))
+            yield Feed(given, "gravity/deflection", deflection, ignore_time(core.add_surroundings))
 
     def _read_ins(self, message: Any, receive_ns: int, config: InsConfig) -> ReadMessage[AttitudeSample]:
         """Return an INS sample; the covariance of its message is stored for the diagnostics."""

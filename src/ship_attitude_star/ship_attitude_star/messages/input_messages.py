@@ -1,21 +1,28 @@
-"""Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
+"""Inputs of ``ship_attitude`` from the sensors that are compared with the INS: topics, and readers of their messages.
 
-The readers of single messages use only attributes, so any message class can be used. For a message that cannot be used
+A reader checks a message and converts it to the data class of the core. The readers of single messages use only
+attributes, so any message class can be used. For a message that cannot be used
 they raise :class:`ship_node.messages.field_checks.MessageRejected`. The reader of a batch converts all regular messages
 at once, with bit-identical results; it returns None for a message that must be read alone.
 """
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
-from ship_attitude_star.ship_attitude.measurements.devices import BaselineMeasurement
+from ship_attitude_star.ship_attitude.config import (
+    ReferenceConfig,
+    ShipAttitudeConfig,
+    ShipBaselineConfig,
+    StarSensorConfig,
+)
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.measurements.devices import BASELINE, BaselineMeasurement
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.rejection_rules import Reason
-from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.frames import (
     FLU_FROM_DEVICE,
     celestial_rotation_from_quaternion,
@@ -25,6 +32,8 @@ from ship_geometry.frames import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_rotations
+from ship_node.adapters.adapter import Feed
+from ship_node.health.duplicate_publishers import INNOVATION
 from ship_node.messages.field_checks import (
     MessageRejected,
     ReadMessage,
@@ -40,7 +49,7 @@ from ship_node.messages.field_checks import (
     stamps,
     unit_quaternion,
 )
-from ship_node.messages.inputs_outputs import StampArray
+from ship_node.messages.inputs_outputs import InputTopic, StampArray
 from ship_node.messages.sensor_readers import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_stars.attitude_samples import (
     SHARED_BY_MESSAGES,
@@ -50,15 +59,59 @@ from ship_stars.attitude_samples import (
     InertialAttitude,
     SolvedAttitude,
 )
-
-Measured = TypeVar("Measured", bound=Measurement)
+from ship_stars.messages.star_messages import ExposingSensor, star_exposure
+from ship_stars.sky.sky_model import SkyModel
 
 STAR_INVALID = 3
 MAX_ELEVATION, MAX_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
 """Maximum elevation of a star sensor, and maximum azimuth and roll, rad; azimuth and roll are used modulo 2π."""
-_COVARIANCE_TOLERANCE = 1e-6
 
-_MAX_DEFLECTION = 300.0 * ARCSEC
+_COVARIANCE_TOLERANCE, _MAX_DEFLECTION = 1e-6, 300.0 * ARCSEC
+
+_STAR_TYPES = {
+    "horizon_attitude": "ship_msgs/msg/StarHorizonAttitude",
+    "solution": "ship_msgs/msg/StarHorizonAttitude",
+    "observations": "ship_msgs/msg/StarObservationArray",
+    "inertial_attitude": "ship_msgs/msg/StarInertialAttitude",
+}
+
+
+def sensor_feeds(config: ShipAttitudeConfig, core: ShipAttitudeCore, sky_model: SkyModel | None) -> Iterator[Feed]:
+    """Yield the inputs of all sensors; each star sensor has one topic only.
+
+    Raises:
+        ParameterError: the camera of a sensor that gives single stars is incomplete.
+    """
+
+    def feed(source: str, topic: str, type_name: str, read: Callable[..., ReadMessage[Any]], **options: Any) -> Feed:
+        given = InputTopic(topic, type_name, False, depth=1000, is_configured=True)
+        return Feed(given, source, read, core.add_measurement, has_decision=True, **options)
+
+    for id_, star in config.star_sensors.items():
+        topic, type_name = f"star/{id_}/{star.input}", _STAR_TYPES[star.input]
+        read, read_rows = _star_readers(id_, star, sky_model)
+        yield feed(f"star.{id_}", topic, type_name, read, read_rows=read_rows, stream_quantity=INNOVATION)
+    for name, reference in config.references.items():
+        topic, read = f"reference/{name}/imu", functools.partial(reference_measurement, name=name, config=reference)
+        yield feed(f"reference.{name}", topic, "sensor_msgs/msg/Imu", read, stream_quantity=INNOVATION)
+    if config.ship_baseline.is_aboard:
+        read = functools.partial(baseline, config=config.ship_baseline)
+        yield feed(BASELINE, "ship/baseline", "ship_msgs/msg/RtkBaseline", read)
+
+
+def _star_readers(
+    id_: str, star: StarSensorConfig, sky_model: SkyModel | None
+) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
+    """Return the readers of a star sensor's messages: of single messages, and of blocks (None for some inputs)."""
+    if star.input == "observations":
+        assert sky_model is not None
+        camera = star.camera.camera(f"star_sensors.{id_}.camera")
+        sensor = ExposingSensor(id_, star.frame_id, camera, star.camera, star.sensor_masks)
+        return functools.partial(star_exposure, sensor=sensor, catalogue=sky_model.catalogue), None
+    if star.input == "inertial_attitude":
+        return functools.partial(inertial_attitude, sensor_id=id_, config=star), None
+    read = functools.partial(star_measurement, sensor_id=id_, config=star)
+    return read, functools.partial(star_attitudes, sensor_id=id_, config=star)
 
 
 def star_measurement(
@@ -89,14 +142,12 @@ def star_measurement(
     elif total_angles is not None:
         total_n = rotation_vector_covariance(total_angles, azimuth, elevation)
     else:
-        noise_s = _configured_noise(config)
+        noise_s = np.diag(config.noise_sigma_s**2)
         attitude = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
-        return _read_message(_with_shared_error(attitude, config.shared_error, has_noise_covariance=True))
+        return ReadMessage(_with_shared_error(attitude, config.shared_error, has_noise_covariance=True), False)
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
-    has_noise_covariance = noise_enu is not None
-    return attitude_from_numbers(
-        f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise_covariance
-    )
+    source, has_noise = f"star.{sensor_id}", noise_enu is not None
+    return attitude_from_numbers(source, time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise)
 
 
 def attitude_from_numbers(
@@ -124,7 +175,7 @@ def attitude_from_numbers(
     """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
     attitude = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
-    return _read_message(_with_shared_error(attitude, sharing, has_noise_covariance))
+    return ReadMessage(_with_shared_error(attitude, sharing, has_noise_covariance), True)
 
 
 def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
@@ -154,14 +205,11 @@ def inertial_attitude(
     rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
     covariance_flu = angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
-        noise_s = _configured_noise(config)
-        return _read_message(
-            InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field_of_view)
-        )
-    noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
-    return _read_message(
-        InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field_of_view)
-    )
+        noise_s = np.diag(config.noise_sigma_s**2)
+    else:
+        noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
+    source, known, field = f"star.{sensor_id}", covariance_flu is not None, config.inertial.field_of_view
+    return ReadMessage(InertialAttitude(source, time_ns, rotation_cs, noise_s, known, field), known)
 
 
 def reference_measurement(
@@ -180,10 +228,8 @@ def reference_measurement(
         noise_r = np.diag(config.noise_sigma_r**2)
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
-    known = covariance_enu is not None
-    return _read_message(
-        AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
-    )
+    source, known = f"reference.{name}", covariance_enu is not None
+    return ReadMessage(AttitudeMeasurement(source, time_ns, rotation_nr, noise_r, covariance_known=known), known)
 
 
 def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
@@ -225,18 +271,7 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
         noise_n = config.noise_sigma_m**2 * np.eye(3)
     if not np.linalg.norm(vector_n) > 0.0:
         raise MessageRejected(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
-    return _read_message(BaselineMeasurement(time_ns, vector_n, noise_n, known))
-
-
-def _read_message(measurement: Measured) -> ReadMessage[Measured]:
-    """Return a measurement as a ReadMessage with the measurement's own ``covariance_known``."""
-    return ReadMessage(measurement, measurement.covariance_known)
-
-
-def _configured_noise(config: StarSensorConfig) -> FloatArray:
-    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), used if a message has none."""
-    noise_s: FloatArray = np.diag(config.noise_sigma_s**2)
-    return noise_s
+    return ReadMessage(BaselineMeasurement(time_ns, vector_n, noise_n, known), known)
 
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
@@ -260,10 +295,7 @@ def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
 
 
 def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:
-    """Read ``star/<sensor>/horizon_attitude`` or ``.../solution`` with both covariances of the rotation vector.
-
-    See :func:`ship_attitude_star.messages.input_messages.star_measurement`.
-    """
+    """Read a block of messages with both covariances of the rotation vector; see :func:`star_measurement`."""
     numbers = messages.numbers
     times_ns, timely = stamps(numbers, receive_ns)
     angles = np.stack([numbers["azimuth"], numbers["elevation"], numbers["roll"]], axis=1)
@@ -275,10 +307,9 @@ def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, co
     def attitude(
         time_ns: int, rotation_ns: FloatArray, total_n: FloatArray, noise_n: FloatArray
     ) -> ReadMessage[Any] | None:
+        source, sharing = f"star.{sensor_id}", config.shared_error
         try:
-            return attitude_from_numbers(
-                f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error
-            )
+            return attitude_from_numbers(source, time_ns, rotation_ns, total_n, noise_n, sharing)
         except MessageRejected:
             return None
 

@@ -144,8 +144,6 @@ def _age_s(since_ns: int | None, time_ns: int) -> float:
     return float("nan") if since_ns is None else (time_ns - since_ns) / SECOND_NS
 
 
-INS = "ins"
-
 ShipEstimator = TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
 """Time-ordered estimator of the ship filter."""
 
@@ -179,18 +177,18 @@ class AttitudeOutput:
     ) -> None:
         self._estimator, self.sky_model, self._on_estimate = estimator, sky_model, on_estimate
         self.sequence, self.ins_timeout_ns = OutputSequence(), round(config.ins.silence_s * SECOND_NS)
+        self._newest_star: tuple[Measurement, int] | None = None
         self.reconfigure(config, filter_)
-        self.start_from(estimator.state)
 
     def reconfigure(self, config: ShipAttitudeConfig, filter_: ShipFilter) -> None:
         """Continue with another configuration and filter."""
         self.config, self.filter = config, filter_
         self.corrected = CorrectedIns(filter_, self._estimator.state, config.horizon)
 
-    def start_from(self, state: FilterState) -> None:
-        """Start from a state, without measurements."""
-        self.corrected = CorrectedIns(self.filter, state, self.config.horizon)
-        self._newest_star: tuple[Measurement, int] | None = None
+    def restart(self) -> None:
+        """Start from the state of the estimator, without measurements."""
+        self.reconfigure(self.config, self.filter)
+        self._newest_star = None
 
     @property
     def must_be_single(self) -> bool:
@@ -253,11 +251,9 @@ class AttitudeOutput:
         def by_star() -> AttitudeEstimate | None:
             unmeasured_acceleration = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
             attitude = attitude_from_star(measurement, self.sky_model, float(unmeasured_acceleration))
-            return (
-                None
-                if attitude is None
-                else estimate_from_star(self.filter, self._estimator.state, attitude, self.config.horizon)
-            )
+            if attitude is None:
+                return None
+            return estimate_from_star(self.filter, self._estimator.state, attitude, self.config.horizon)
 
         self.sequence.add(outcome, measurement.time_ns, waiting_ns, by_star)
 

@@ -6,17 +6,17 @@ The core uses no ROS, no files and no clock. The core combines the filter, the I
 (:mod:`ship_estimation.time_order.time_ordered_estimator`), which applies measurements in the order of their stamps.
 """
 
+import math
 from collections.abc import Callable, Sequence, Set
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-from ship_attitude_star.plausibility.stream_checks import CheckedMeasurement
+from ship_attitude_star.plausibility import CheckedMeasurement
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior, prior_from_state, state_from_prior
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator, invalid_estimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import integrity_of
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_input import InsInput
-from ship_attitude_star.ship_attitude.observability import RecentSource, record_accepted
 from ship_attitude_star.ship_attitude.recovery import ShipConsistency, start_from_memory
 from ship_attitude_star.ship_attitude.state import FilterState, with_utc_evaluated, with_utc_step
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
@@ -29,15 +29,27 @@ from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, Ti
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_stars.attitude_samples import (
+    AirReading,
     AttitudeDecision,
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
     DeflectionReading,
-    PositionFix,
     SkyInput,
 )
 from ship_stars.sky.sky_model import SkyModel
+
+
+class RecentSource(NamedTuple):
+    """Recent measurements of a source.
+
+    Attributes:
+        measurement: last accepted measurement.
+        period_s: time between the last two accepted measurements; infinite after the first measurement.
+    """
+
+    measurement: Measurement
+    period_s: float
 
 
 class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
@@ -54,7 +66,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         output: attitudes to publish, from the INS or from stars alone.
         filter: the filter.
         vertical: vertical along the track; None if the configuration does not need it.
-        recent_sources: last accepted measurement of each source.
+        recent_sources: recent measurements by source.
     """
 
     filter_class: ClassVar[type[ShipFilter]] = ShipFilter
@@ -106,11 +118,10 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self._estimator.reset(initial)
         if clock_jumped:
             self.output.sequence.reset()
-        if self.sky_model is not None:
-            self.sky_model.reset()
-        if self.vertical is not None:
-            self.vertical.reset()
-        self._start_without_samples(initial)
+        for one in (self.sky_model, self.vertical):
+            if one is not None:
+                one.reset()
+        self._start_without_samples()
         return remarks
 
     def step_time_base(self, step_ns: int, state: FilterState) -> None:
@@ -129,15 +140,14 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._estimator.reset(state)
         self.output.sequence.step_time_base(step_ns)
-        if self.sky_model is not None:
-            self.sky_model.step_time_base(step_ns)
-        if self.vertical is not None:
-            self.vertical.step_time_base(step_ns)
-        self._start_without_samples(state)
+        for one in (self.sky_model, self.vertical):
+            if one is not None:
+                one.step_time_base(step_ns)
+        self._start_without_samples()
 
-    def _start_without_samples(self, state: FilterState) -> None:
-        """Start from a state, without INS samples."""
-        self.output.start_from(state)
+    def _start_without_samples(self) -> None:
+        """Start from the state of the estimator, without INS samples."""
+        self.output.restart()
         self.ins.reset()
         self.recent_sources.clear()
 
@@ -148,31 +158,30 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self.output.reconfigure(config, self.filter)
         self.ins.reconfigure(config)
 
-    def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
-        """Add a position fix or an air reading; affected measurements are evaluated again."""
-        outcome = AttitudeOutcome()
-        if self.sky_model is not None:
-            outcome.rejection = self.sky_model.surroundings.rejection(sky_input)
-            self._estimator.stamp_conflicts.record(sky_input.source, sky_input.time_ns, outcome.rejection)
-            unchanged_until_ns = self.sky_model.surroundings.insert(sky_input)
+    def add_surroundings(self, given: SkyInput | DeflectionReading) -> AttitudeOutcome:
+        """Add a position fix, an air reading or a deflection of the vertical; evaluate affected measurements again."""
+        stores: list[tuple[Any, Callable[[Measurement], bool]]] = []
+        if self.sky_model is not None and not isinstance(given, DeflectionReading):
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
-            _reevaluate(self._estimator, unchanged_until_ns, lambda used: type(used) is not AttitudeMeasurement)
-        if self.vertical is not None and isinstance(sky_input, PositionFix):
-            if self.sky_model is None:
-                outcome.rejection = self.vertical.rejection(sky_input)
-                self._estimator.stamp_conflicts.record(sky_input.source, sky_input.time_ns, outcome.rejection)
-            _reevaluate(self._estimator, self.vertical.insert(sky_input), lambda _used: True)
+            stores.append((self.sky_model.surroundings, lambda used: type(used) is not AttitudeMeasurement))
+        if self.vertical is not None and not isinstance(given, AirReading):
+            stores.append((self.vertical, lambda _used: True))
+        outcome = AttitudeOutcome()
+        if stores:
+            # Both stores check position fixes equally.
+            outcome.rejection = stores[0][0].rejection(given)
+            self._estimator.stamp_conflicts.record(given.source, given.time_ns, outcome.rejection)
+        for store, is_affected in stores:
+            self._evaluate_again_after(store.insert(given), is_affected)
         self._estimator.apply(outcome)
         return outcome
 
-    def add_deflection(self, reading: DeflectionReading) -> AttitudeOutcome:
-        """Add a deflection of the vertical; measurements after its stamp are evaluated again."""
-        assert self.vertical is not None
-        outcome = AttitudeOutcome(self.vertical.rejection(reading))
-        self._estimator.stamp_conflicts.record(reading.source, reading.time_ns, outcome.rejection)
-        _reevaluate(self._estimator, self.vertical.insert(reading), lambda _used: True)
-        self._estimator.apply(outcome)
-        return outcome
+    def _evaluate_again_after(self, time_ns: int | None, is_affected: Callable[[Measurement], bool]) -> None:
+        """Let the next ``apply`` evaluate again from the first affected measurement after a stamp, if there is one."""
+        if time_ns is not None:
+            self._estimator.rewind_to_first(
+                lambda decision: decision.measurement.time_ns > time_ns and is_affected(decision.measurement)
+            )
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send messages of one source; an empty text removes the record."""
@@ -238,9 +247,8 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         if live.vertical is not None:
             self.vertical = live.vertical.clone()
             self.reconfigure(self.config)
-        state = start_from_memory(self.filter, memory, live.state)
-        self._estimator.reset(state)
-        self._start_without_samples(state)
+        self._estimator.reset(start_from_memory(self.filter, memory, live.state))
+        self._start_without_samples()
 
     def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
         """Continue the outputs of another estimator."""
@@ -263,7 +271,13 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         return self.filter.apply_ins_change(state, change)
 
     def _record_decision(self, decision: AttitudeDecision) -> None:
-        record_accepted(self.recent_sources, decision)
+        """Store an accepted measurement, and the time since the previous accepted measurement of the same source."""
+        measurement = decision.measurement
+        if decision.accepted:
+            before = self.recent_sources.get(measurement.source)
+            since_s = math.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
+            if since_s > 0.0:
+                self.recent_sources[measurement.source] = RecentSource(measurement, since_s)
 
     def _drop_before(self, time_ns: int, needed_since_ns: int | None = None) -> None:
         """Discard data that no measurement at or after a stamp needs; keep the data of the ship since another stamp."""
@@ -278,11 +292,3 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
 
 def _failure_decision(measurement: Measurement, rejection: Rejection) -> AttitudeDecision:
     return AttitudeDecision(measurement, rejection.reason, text=rejection.text, ins_time_ns=measurement.time_ns)
-
-
-def _reevaluate(estimator: ShipEstimator, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-    """Let the next ``apply`` evaluate again from the first affected measurement after a stamp; None changes nothing."""
-    if changed_after_ns is not None:
-        estimator.rewind_to_first(
-            lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
-        )

@@ -6,16 +6,16 @@ of all samples are computed, together for samples with the same filter state.
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
-from ship_attitude_star.ship_attitude.attitude_output import INS, AttitudeOutput, ShipEstimator
+from ship_attitude_star.plausibility import PlausibilityChecks
+from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_estimates
+from ship_attitude_star.ship_attitude.corrected_ins import corrected_estimates
+from ship_attitude_star.ship_attitude.model import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
@@ -27,7 +27,6 @@ from ship_geometry.tracks.attitude_track import (
     AttitudeSample,
     AttitudeTrack,
     ExtraNoise,
-    PropagatedBlock,
     RecentRates,
     SampleBlock,
     propagate_block,
@@ -91,56 +90,36 @@ class InsBatch:
             start = self._segments.pop().start
         self._segments.append(_BatchSegment(state, start, stop, contradiction_texts))
 
-    def attitudes(
-        self,
-        corrected_by: Callable[[FilterState], CorrectedIns],
-        propagation_s: Callable[[CorrectedIns], float],
-        config: ShipAttitudeConfig,
-    ) -> list[tuple[slice, AttitudeSeries | Rejection]]:
+    def attitudes(self, output: AttitudeOutput) -> list[tuple[slice, AttitudeSeries | Rejection]]:
         """Return the attitudes of all committed samples in order, one series per segment.
 
         Args:
-            corrected_by: function that returns the corrections by a filter state.
-            propagation_s: function that returns the time by which a sample is propagated with these corrections, s.
-            config: configuration of the node.
+            output: corrections by filter states, and the configuration.
 
         Returns:
             Slices of sample indices, with their attitudes or the failure to compute them.
         """
-        corrected = [corrected_by(segment.state) for segment in self._segments]
-        counts = [stretch.stop - stretch.start for stretch in self._segments]
-        propagated = propagate_block(
-            self.previous_rates, self.block, np.repeat([propagation_s(one) for one in corrected], counts)
-        )
-        propagated = propagated.with_noise(self.extra_noise)
+        corrected = [output.corrected_by(segment.state) for segment in self._segments]
+        samples = [slice(segment.start, segment.stop) for segment in self._segments]
+        counts = [some.stop - some.start for some in samples]
+        propagation_s = np.repeat([output.propagation_s(one) for one in corrected], counts)
+        propagated = propagate_block(self.previous_rates, self.block, propagation_s).with_noise(self.extra_noise)
+        times_ns, found = self.block.times_ns[: self.committed_count], list[AttitudeSeries | Rejection]()
         try:
-            found: list[AttitudeSeries | Rejection] = [
-                *corrected_estimates(corrected, counts, self._times_ns, propagated, config)
-            ]
+            found += corrected_estimates(corrected, counts, times_ns, propagated, output.config)
         except Exception:
             # The segments are computed one by one to find the segment that fails.
-            pairs = zip(corrected, self._segments, strict=True)
-            found = [self._attitudes_of(one, stretch, propagated, config) for one, stretch in pairs]
-        for stretch, run in zip(self._segments, found, strict=True):
-            for number, text in enumerate(stretch.contradiction_texts or ()):
+            for one, some, count in zip(corrected, samples, counts, strict=True):
+                part = propagated.subset(some)
+                try:
+                    found += corrected_estimates([one], [count], times_ns[some], part, output.config)
+                except Exception as error:
+                    found.append(failure_rejection(error))
+        for segment, run in zip(self._segments, found, strict=True):
+            for number, text in enumerate(segment.contradiction_texts or ()):
                 if text and isinstance(run, AttitudeSeries):
                     run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), text
-        return [(slice(stretch.start, stretch.stop), run) for stretch, run in zip(self._segments, found, strict=True)]
-
-    @property
-    def _times_ns(self) -> StampArray:
-        return self.block.times_ns[: self.committed_count]
-
-    def _attitudes_of(
-        self, corrected: CorrectedIns, segment: _BatchSegment, propagated: PropagatedBlock, config: ShipAttitudeConfig
-    ) -> AttitudeSeries | Rejection:
-        """Return the attitudes of one segment, or the failure to compute them."""
-        some, count = slice(segment.start, segment.stop), segment.stop - segment.start
-        try:
-            (run,) = corrected_estimates([corrected], [count], self._times_ns[some], propagated.subset(some), config)
-        except Exception as error:
-            return failure_rejection(error)
-        return run
+        return list(zip(samples, found, strict=True))
 
 
 class InsInput:
@@ -302,4 +281,4 @@ class InsInput:
 
     def block_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeSeries | Rejection]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
-        return batch.attitudes(self._output.corrected_by, self._output.propagation_s, self._output.config)
+        return batch.attitudes(self._output)

@@ -17,16 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import RecentSource
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.kalman.unobservable_combinations import unobservable_combinations
-from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude
-from ship_stars.attitude_samples import AttitudeDecision
 
 _AXES = {
     "installation": ("forward", "up", "right"),
@@ -93,23 +92,6 @@ _RECOMMENDED_RATIO = 0.9
 """A turn is recommended if the standard deviation after the turn, divided by that on course, is at most this ratio."""
 
 
-class RecentSource(NamedTuple):
-    """Recent measurements of a source.
-
-    Attributes:
-        measurement: last accepted measurement.
-        period_s: time between the last two accepted measurements; infinite after the first measurement.
-    """
-
-    measurement: Measurement
-    period_s: float
-
-    def is_active_at(self, time_ns: int) -> bool:
-        """True if the source still measures; False before its second measurement."""
-        since_s = (time_ns - self.measurement.time_ns) / SECOND_NS
-        return self.period_s < math.inf and since_s <= _MISSED_PERIODS * self.period_s
-
-
 class RecommendedTurn(NamedTuple):
     """A recommended turn.
 
@@ -128,16 +110,6 @@ class RecommendedTurn(NamedTuple):
     sigma_after_turn: float
 
 
-def record_accepted(recent_sources: dict[str, RecentSource], decision: AttitudeDecision) -> None:
-    """Store an accepted measurement, and the time since the previous accepted measurement of the same source."""
-    measurement = decision.measurement
-    if decision.accepted:
-        before = recent_sources.get(measurement.source)
-        since_s = math.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
-        if since_s > 0.0:
-            recent_sources[measurement.source] = RecentSource(measurement, since_s)
-
-
 def recommended_manoeuvre(
     filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, recent_sources: Mapping[str, RecentSource]
 ) -> RecommendedTurn | None:
@@ -154,7 +126,7 @@ def recommended_manoeuvre(
     active = {
         source: recent
         for source, recent in recent_sources.items()
-        if source not in state.excluded and recent.is_active_at(state.time_ns)
+        if source not in state.excluded and _is_active(recent, state.time_ns)
     }
     if not active:
         return None
@@ -167,6 +139,12 @@ def recommended_manoeuvre(
     best = min(hints, key=lambda hint: hint.sigma_after_turn / hint.sigma_on_course)
     # NaN is not recommended.
     return best if best.sigma_after_turn <= _RECOMMENDED_RATIO * best.sigma_on_course else None
+
+
+def _is_active(recent: RecentSource, time_ns: int) -> bool:
+    """True if the source still measures; False before its second measurement."""
+    since_s = (time_ns - recent.measurement.time_ns) / SECOND_NS
+    return recent.period_s < math.inf and since_s <= _MISSED_PERIODS * recent.period_s
 
 
 def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:

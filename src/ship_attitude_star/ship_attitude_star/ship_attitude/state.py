@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.plausibility.diagnosis_hints import AttitudeResidual
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums
@@ -65,6 +64,21 @@ def shared_rotation(innovations: Sequence[SourceInnovation]) -> FloatArray:
     whitened = np.concatenate([one.whitened for one in innovations])
     rotation_n: FloatArray = np.linalg.lstsq(whitening, whitened, rcond=None)[0]
     return rotation_n
+
+
+@dataclass(frozen=True)
+class AttitudeResidual:
+    """Residual of a rejected attitude.
+
+    Attributes:
+        time_ns: stamp of the measurement.
+        turn_n: rotation from predicted to measured attitude, rotation vector in the horizon frame, rad, shape (3,).
+        noise_n: covariance of this rotation due to the measurement noise, rad², shape (3, 3).
+    """
+
+    time_ns: int
+    turn_n: FloatArray
+    noise_n: FloatArray
 
 
 class UtcStep(NamedTuple):

@@ -12,13 +12,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.attitude_output import INS
 from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
+from ship_attitude_star.ship_attitude.model import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.vertical.vertical_track import LocalVertical
@@ -148,9 +148,9 @@ class SmoothingCore(ShipAttitudeCore):
         self._is_smoothing = True
         self.restart_smoothing()
 
-    def _start_without_samples(self, state: FilterState) -> None:
+    def _start_without_samples(self) -> None:
         """See :meth:`ShipAttitudeCore._start_without_samples`; attitudes not yet smoothed are discarded."""
-        super()._start_without_samples(state)
+        super()._start_without_samples()
         self.restart_smoothing()
 
     def restart_smoothing(self) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
+from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     AttitudeSolution,

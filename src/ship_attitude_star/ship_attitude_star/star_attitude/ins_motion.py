@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_attitude_star.plausibility.stream_checks import PlausibilityChecks
+from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump

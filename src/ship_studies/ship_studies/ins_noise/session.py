@@ -15,11 +15,10 @@ import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.adapters.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.ship_attitude.attitude_output import INS
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
-from ship_attitude_star.ship_attitude.model import ShipStateModel
+from ship_attitude_star.ship_attitude.model import INS, ShipStateModel
 from ship_attitude_star.vertical.deflection import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_bags.errors import BadInput

@@ -1,4 +1,7 @@
-"""Plausibility checks of all input streams of a run, in the order of their stamps."""
+"""Plausibility checks of all input streams, in the order of their stamps, by comparison with other sources.
+
+The checks of one stream alone are in :mod:`ship_estimation.plausibility`.
+"""
 
 from typing import Protocol
 
