@@ -15,12 +15,15 @@ _ANGLES = "azimuth_deg", "elevation_deg", "roll_deg"
 def _document(prior: AlignmentPrior) -> dict[str, Any]:
     devices = {}
     for name, rotation_dv in prior.rotations_dv.items():
-        azimuth, elevation, roll = np.rad2deg(angles_from_rotation(rotation_dv)).tolist()
-        roll_deg, azimuth_deg = roll, azimuth
+        angles_deg = np.rad2deg(angles_from_rotation(rotation_dv)).tolist()
         if name.startswith("reference."):
-            azimuth_deg = float(np.rad2deg(wrap_pi(np.deg2rad(azimuth))))
-        devices[name] = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation, "roll_deg": roll_deg}
-    sigma = np.sqrt(np.diagonal(prior.covariance))
+            angles_deg[0] = float(np.rad2deg(wrap_pi(np.deg2rad(angles_deg[0]))))
+        devices[name] = dict(zip(_ANGLES, angles_deg, strict=True))
+    # Programs do not read these standard deviations; people do.
+    sigmas = {
+        name: (sigma / (ARCSEC if name.endswith(".installation") else 1.0)).tolist()
+        for name, sigma in prior.block_sigmas()
+    }
     return {
         "time_ns": prior.time_ns,
         "serials": prior.serials,
@@ -28,19 +31,9 @@ def _document(prior: AlignmentPrior) -> dict[str, Any]:
         "time_offset_s": prior.time_offsets_s,
         "covariance_of": list(prior.names),
         "covariance_note": "rotation vectors (forward, up, right) in the device frames in rad, time offsets in s",
-        "sigma_arcsec_or_s": _human_sigma(prior, sigma),
+        "sigma_arcsec_or_s": sigmas,
         "covariance": prior.covariance.tolist(),
     }
-
-
-def _human_sigma(prior: AlignmentPrior, sigma: np.ndarray) -> dict[str, list[float]]:
-    """Return standard deviations for a person who reads the file; programs do not read them."""
-    human, start = {}, 0
-    for name in prior.names:
-        width, unit = (3, ARCSEC) if name.endswith(".installation") else (1, 1.0)
-        human[name] = [float(value) for value in sigma[start : start + width] / unit]
-        start += width
-    return human
 
 
 def _prior(document: dict[str, Any]) -> AlignmentPrior:

@@ -75,11 +75,9 @@ class AttitudeNumbers(NamedTuple):
 
     def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
         """Return the attitudes with the given indices."""
-        return (
-            self
-            if len(indices) == len(self.time_ns)
-            else AttitudeNumbers(*(select_values(each, indices) for each in self))
-        )
+        if len(indices) == len(self.time_ns):
+            return self
+        return AttitudeNumbers(*(select_values(each, indices) for each in self))
 
 
 def attitude_messages(
@@ -95,9 +93,8 @@ def attitude_messages(
         rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
         frames: frame names.
     """
-    messages = _messages(
-        AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), single_numbers, rate_sigma, frames
-    )
+    attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
+    messages = _messages(attitude, single_numbers, rate_sigma, frames)
     return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
@@ -228,17 +225,10 @@ def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str)
     """Return ship_msgs/AttitudeErrorArcsec with predicted sigmas; errors are NaN, because the truth is not known."""
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
-    unknown = float("nan")
-    return factory.make(
-        "ship_msgs/msg/AttitudeErrorArcsec",
-        header={"stamp": estimate.time_ns, "frame_id": deck},
-        sigma_heading=float(sigma[0]),
-        sigma_pitch=float(sigma[1]),
-        sigma_roll=float(sigma[2]),
-        error_heading=unknown,
-        error_pitch=unknown,
-        error_roll=unknown,
-    )
+    sigmas = zip(("sigma_heading", "sigma_pitch", "sigma_roll"), sigma.tolist(), strict=True)
+    errors = dict.fromkeys(("error_heading", "error_pitch", "error_roll"), float("nan"))
+    header = {"stamp": estimate.time_ns, "frame_id": deck}
+    return factory.make("ship_msgs/msg/AttitudeErrorArcsec", header=header, **dict(sigmas), **errors)
 
 
 def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:

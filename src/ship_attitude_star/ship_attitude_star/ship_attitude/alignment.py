@@ -5,6 +5,7 @@
 """
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -61,27 +62,22 @@ class AlignmentPrior:
 
         The name of a star sensor's installation block includes the sensor's serial number if known.
         """
-        sigmas, first = {}, 0
-        for name in self.names:
-            serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")
-            part = slice(first, first := first + _width(name))
-            sigmas[name + (f" of serial {serial}" if serial else "")] = np.sqrt(np.diagonal(self.covariance)[part])
-        return sigmas
+        serials = {f"star.{id_}.installation": f" of serial {serial}" for id_, serial in self.serials.items() if serial}
+        return {name + serials.get(name, ""): sigma for name, sigma in self.block_sigmas()}
+
+    def block_sigmas(self) -> list[tuple[str, FloatArray]]:
+        """Return the state blocks with their standard deviations, rad or s, shape (3,) or (1,)."""
+        sigma, ends = np.sqrt(np.diagonal(self.covariance)), accumulate(map(_width, self.names))
+        return [(name, sigma[end - _width(name) : end]) for name, end in zip(self.names, ends, strict=True)]
 
 
 def current_alignment(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
     """Return the alignment of a state."""
     model = filter_.model
-    names: list[str] = []
-    values: list[float] = []
-    units: list[str] = []
-    rows: list[FloatArray] = []
+    quantities: list[tuple[str, float, str, FloatArray]] = []
 
     def add(name: str, value: float, unit: str, row: FloatArray) -> None:
-        names.append(name)
-        values.append(float(value))
-        units.append(unit)
-        rows.append(row)
+        quantities.append((name, float(value), unit, row))
 
     def add_time_offset(name: str, configured_s: float) -> None:
         row = np.zeros(model.size)
@@ -108,9 +104,9 @@ def current_alignment(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fi
             sigmas = camera.optics_errors(camera.camera(f"{device.parameters}.camera")).sigmas
             for (name, unit), index, sigma in zip(_OPTICS, range(optics.start, optics.stop), sigmas, strict=True):
                 add(f"{device.name}.{name}", sigma * state.mean[index], unit, sigma * np.eye(model.size)[index])
+    names, values, units, rows = zip(*quantities, strict=True)
     transport = np.array(rows)
-    covariance = transport @ state.covariance @ transport.T
-    return Alignment(tuple(names), np.array(values), covariance, tuple(units))
+    return Alignment(names, np.array(values), transport @ state.covariance @ transport.T, units)
 
 
 def prior_from_state(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
@@ -147,9 +143,7 @@ def state_from_prior(
     warnings = _changed_serials(config, prior)
     foreign = tuple(f"star.{id_}." for id_ in warnings)
     usable = [name for name in prior.names if name in model.slices and not name.startswith(foreign)]
-    mean = initial.mean.copy()
-    rows: list[int] = []
-    saved_rows: list[int] = []
+    mean, rows, saved_rows = initial.mean.copy(), list[int](), list[int]()
     start = dict(zip(prior.names, np.cumsum([0] + [_width(n) for n in prior.names]), strict=False))
     to_state = np.eye(model.size)
     for name in usable:

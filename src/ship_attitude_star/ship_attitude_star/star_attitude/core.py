@@ -7,7 +7,7 @@ estimator, only its :class:`ship_estimation.time_order.time_ordered_estimator.La
 at :class:`ship_node.adapters.adapter.Adapter`.
 """
 
-from collections.abc import Callable, Collection, Iterator, Set
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     RejectedStar,
     StarOutcome,
     rejected_exposure,
+    rejected_group,
     solve_deck,
     solve_exposure,
 )
@@ -39,68 +40,8 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_stars.attitude_samples import AttitudeMeasurement, SkyInput, StampArray
-from ship_stars.camera.config import JOINT
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.solution import invalid_solution
-
-
-class ReceivedExposures:
-    """Received exposures of all star sensors.
-
-    Args:
-        sources: names of all sensors.
-
-    Attributes:
-        stamp_conflicts: sensors, position and air with conflicting data, or with two publishers.
-    """
-
-    def __init__(self, sources: Set[str]) -> None:
-        self._sources = sources
-        self.stamp_conflicts = StampConflicts()
-        self.reset()
-
-    def reset(self) -> None:
-        """Discard all exposures and conflicts; two publishers of a source remain recorded."""
-        self._exposures: dict[tuple[str, int], StarExposure] = {}
-        self.stamp_conflicts.reset()
-
-    def get(self, exposure: StarExposure) -> StarExposure | None:
-        """Return the earlier exposure of the same sensor with the same stamp, or None."""
-        return self._exposures.get((exposure.source, exposure.time_ns))
-
-    def add(self, exposure: StarExposure) -> None:
-        """Store an exposure, in place of one of the same sensor and stamp."""
-        self._exposures[exposure.source, exposure.time_ns] = exposure
-
-    def compare(self, known: StarExposure, exposure: StarExposure) -> Rejection:
-        """Return the rejection of an exposure with the sensor and stamp of a known one: a duplicate or a conflict.
-
-        Of two exposures in conflict neither is solved; a solution that was already published is replaced by an INVALID
-        solution.
-        """
-        conflict = resolve_same_stamp(known, exposure)[1]
-        if conflict.reason is Reason.DUPLICATE:
-            return conflict
-        self.stamp_conflicts.record(exposure.source, exposure.time_ns, conflict)
-        return replace(conflict, text="the same stamp with different content: do two sensors publish on one topic?")
-
-    def drop_before(self, time_ns: int) -> None:
-        """Discard the exposures before a stamp."""
-        self._exposures = {key: exposure for key, exposure in self._exposures.items() if exposure.time_ns >= time_ns}
-
-    def contradiction(self, source: str, time_ns: int) -> Rejection | None:
-        """Return the rejection for conflicting data of the sensor, the position or the air; None without a conflict."""
-        contested = [
-            name for name in self.stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
-        ]
-        if contested:
-            return Rejection(Reason.CONFLICT, self.stamp_conflicts.text(contested))
-        if source not in self.stamp_conflicts.active_at(time_ns):
-            return None
-        text = f"its stars are used again after {CONFLICT_HOLD_S:g} s without a contradiction"
-        return Rejection(Reason.CONFLICT, f"{self.stamp_conflicts.text([source])}: {text}")
-
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _EXACT: FloatArray = np.zeros((3, 3))
@@ -114,13 +55,11 @@ class _PendingExposure:
         exposure: stars of the exposure.
         rejected_stars: stars of the message that were already rejected.
         arrival_ns: arrival time by the timeout clock.
-        reach_ns: time before and after the middle of the exposure for which the motion of the deck is needed.
     """
 
     exposure: StarExposure
     rejected_stars: tuple[RejectedStar, ...]
     arrival_ns: int
-    reach_ns: int
 
 
 class JointWindow:
@@ -216,8 +155,8 @@ class StarCore:
         self._sky_model = sky_model
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
         self._sources = frozenset(f"star.{id_}" for id_ in config.star_sensors)
-        self._received = ReceivedExposures(self._sources)
-        self._ins_stamp_conflicts = StampConflicts()
+        # Conflicts of sensors, position and air, and conflicts of the INS.
+        self._stamp_conflicts, self._ins_stamp_conflicts = StampConflicts(), StampConflicts()
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
@@ -232,9 +171,11 @@ class StarCore:
 
     def _start_without_samples(self) -> None:
         self._plausibility = PlausibilityChecks(self._config.ins)
-        self._received.reset()
+        # Two publishers of a source remain recorded.
+        self._stamp_conflicts.reset()
         self._ins_stamp_conflicts.reset()
         self._ins = InsMotion(self._config.ins, self._plausibility, self._ins_stamp_conflicts)
+        self._received: dict[tuple[str, int], StarExposure] = {}
         self._pending: dict[tuple[str, int], _PendingExposure] = {}
         self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
@@ -306,27 +247,31 @@ class StarCore:
         rejection = self._arrivals.late_rejection(exposure.time_ns)
         if rejection is not None:
             return StarOutcome(rejection)
-        known = self._received.get(exposure)
+        key = exposure.source, exposure.time_ns
+        known = self._received.get(key)
         if known is None:
             rejection = self._plausibility.check(exposure, self._ins.track)
             if rejection is not None:
                 return StarOutcome(rejection)
         else:
-            rejection = self._received.compare(known, exposure)
+            rejection = resolve_same_stamp(known, exposure)[1]
             if rejection.reason is Reason.DUPLICATE:
                 return StarOutcome(rejection)
-        self._received.add(exposure)
+            # Neither exposure is solved; a published solution is replaced by an INVALID solution.
+            self._stamp_conflicts.record(*key, rejection)
+            text = "the same stamp with different content: do two sensors publish on one topic?"
+            rejection = replace(rejection, text=text)
+        self._received[key] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
-        key = exposure.source, exposure.time_ns
-        self._pending[key] = _PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns)
+        self._pending[key] = _PendingExposure(exposure, rejected_stars, arrival_ns)
         outcome = StarOutcome(rejection)
         self._advance(outcome)
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send data of one source; an empty text ends this state."""
-        contradictions = self._ins_stamp_conflicts if source == INS else self._received.stamp_conflicts
+        contradictions = self._ins_stamp_conflicts if source == INS else self._stamp_conflicts
         contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
@@ -351,21 +296,20 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._sky_model.surroundings.drop_before(oldest_ns)
-        self._received.drop_before(oldest_ns)
+        self._received = {key: one for key, one in self._received.items() if one.time_ns >= oldest_ns}
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         for key, waiting in list(self._pending.items()):
             overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
-            if self._ins.is_awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
+            if self._ins.is_awaited(waiting.exposure.time_ns, waiting.exposure.reach_ns) and not overdue:
                 continue
             del self._pending[key]
             try:
                 placed, solved = self._solve_one(waiting)
             except Exception as error:
-                solution = invalid_solution(np.zeros(len(waiting.exposure), dtype=bool), failure_rejection(error))
-                sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
-                outcome.solved.append(AttitudeSolution(sensor_id, time_ns, solution, waiting.rejected_stars, ()))
+                _, solved = rejected_exposure(waiting.exposure, waiting.rejected_stars, failure_rejection(error))
+                outcome.solved.append(solved)
                 continue
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
@@ -374,14 +318,12 @@ class StarCore:
             try:
                 joint = self._joint(group)
             except Exception as error:
-                joint = AttitudeSolution(
-                    JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure_rejection(error)), (), ()
-                )
+                joint = rejected_group(group[0].time_ns, failure_rejection(error))
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
         """Solve the attitude of a sensor from one exposure; a solved attitude becomes a motion reference of checks."""
-        contradiction = self._received.contradiction(waiting.exposure.source, waiting.exposure.time_ns)
+        contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
             return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)
         sensor = self._sensor(waiting.exposure.source)
@@ -404,12 +346,23 @@ class StarCore:
             )
         return placed, solved
 
+    def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
+        """Return the rejection for conflicting data of the sensor, the position or the air; None without a conflict."""
+        conflicts = self._stamp_conflicts
+        contested = [name for name in conflicts.duplicate_publishers if name == source or name not in self._sources]
+        if contested:
+            return Rejection(Reason.CONFLICT, conflicts.text(contested))
+        if source not in conflicts.active_at(time_ns):
+            return None
+        text = f"its stars are used again after {CONFLICT_HOLD_S:g} s without a contradiction"
+        return Rejection(Reason.CONFLICT, f"{conflicts.text([source])}: {text}")
+
     def _joint(self, group: list[PlacedExposure]) -> AttitudeSolution:
         time_ns = group[0].time_ns
         # A conflict of a sensor may have been detected after its exposure was solved.
         group = [
             placed
-            if self._received.contradiction(placed.source, placed.time_ns) is None
+            if self._contradiction(placed.source, placed.time_ns) is None
             else replace(placed, stars=None)
             for placed in group
         ]

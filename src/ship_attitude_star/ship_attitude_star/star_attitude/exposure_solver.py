@@ -130,6 +130,11 @@ def rejected_exposure(
     return placed, AttitudeSolution(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
 
 
+def rejected_group(time_ns: int, rejection: Rejection) -> AttitudeSolution:
+    """Return the joint solution without an attitude of a group of exposures."""
+    return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), rejection), (), ())
+
+
 def solve_exposure(
     exposure: StarExposure,
     rejected_stars: tuple[RejectedStar, ...],
@@ -152,7 +157,6 @@ def solve_exposure(
             independent in each exposure.
     """
     source, time_ns = exposure.source, exposure.time_ns
-    sensor_id = source.partition(".")[2]
     visible = visible_stars(exposure, sky_model, prior)
     if isinstance(visible, Rejection):
         return rejected_exposure(exposure, rejected_stars, visible)
@@ -171,9 +175,8 @@ def solve_exposure(
         rejected_stars += tuple(_rejected_stars(solution, [MountedExposure(placed, _IDENTITY)]))
         placed = replace(placed, rejected_stars=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
-    return placed, AttitudeSolution(
-        sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else ""
-    )
+    text = _AGAINST_INS if against_prior else ""
+    return placed, AttitudeSolution(source.partition(".")[2], time_ns, solution, rejected_stars, sources, text)
 
 
 def solve_deck(
@@ -199,15 +202,10 @@ def solve_deck(
         usable = [group[index] for index in with_stars]
         turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
     if not usable:
-        rejection = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
-        return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), rejection), (), ())
+        return rejected_group(time_ns, Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky"))
     solution, against_prior = solve_with_fallback(_stars_in_deck(usable, turn_covariance_d, sensors), prior)
     rejected = _rejected_stars(solution, usable)
-    known = (
-        {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars}
-        if rejected
-        else set()
-    )
+    known = {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars}
     newly_rejected = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
@@ -223,9 +221,8 @@ def _stars_in_deck(
     stars = [mounted.exposure.stars for mounted in group if mounted.exposure.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
-        mounting_b[index] = (
-            mounted.rotation_ds * sensors[mounted.exposure.source.partition(".")[2]].installation_sigma_s
-        )
+        sensor = sensors[mounted.exposure.source.partition(".")[2]]
+        mounting_b[index] = mounted.rotation_ds * sensor.installation_sigma_s
     return MatchedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
@@ -236,8 +233,8 @@ def _stars_in_deck(
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
         time_transfer_b=_turn_errors_in_deck(group, turn_covariance_d),
-        false_match_density=_false_match_density(stars),
-        pixel_sigma=_pixel_sigma(stars),
+        false_match_density=_joined([s.false_match_density for s in stars], stars),
+        pixel_sigma=_joined([s.pixel_sigma for s in stars], stars),
         field_b=_field_in_deck(stars, group),
         field_sources=tuple(source for s in stars for source in s.field_sources),
     )
@@ -269,18 +266,11 @@ def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposur
     )
 
 
-def _false_match_density(stars: Sequence[MatchedStars]) -> FloatArray | None:
-    """Return the density of false matches of each star, 1/sr, shape (k,); None if all identities are certain."""
-    if all(s.false_match_density is None for s in stars):
+def _joined(values: Sequence[FloatArray | None], stars: Sequence[MatchedStars]) -> FloatArray | None:
+    """Return one value per star, shape (k,), 0 for the stars of a sensor without values; None without any value."""
+    if all(value is None for value in values):
         return None
-    return np.concatenate([np.zeros(len(s)) if s.false_match_density is None else s.false_match_density for s in stars])
-
-
-def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
-    """Return the sigma of each star's pixel-spatial error, rad per axis, shape (k,); None without such errors."""
-    if all(s.pixel_sigma is None for s in stars):
-        return None
-    return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
+    return np.concatenate([np.zeros(len(s)) if one is None else one for one, s in zip(values, stars, strict=True)])
 
 
 def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
