@@ -51,15 +51,11 @@ def test_the_papers_star_from_number_to_direction():
     assert catalogue.magnitude[catalogue.rows(92_420)] == pytest.approx(3.5618)
 
 
-def test_unknown_stars_have_a_reason():
+def test_unknown_stars_have_no_row():
     catalogue = hipparcos()
     # HIP 421 is the first number missing in hip2.dat.
     found = catalogue.rows(np.array([[92_420, 0], [421, 120_405]], dtype=np.uint32))
     assert (found == UNKNOWN).tolist() == [[False, True], [True, True]]
-    assert catalogue.missing_star_reason(4_294_967_295) == (
-        "HIP 4294967295 is not in Hipparcos-2 (117955 stars, HIP 1 to 120404)"
-    )
-    assert catalogue.missing_star_reason(92_420) is None
 
 
 def test_lookup_finds_each_star_in_its_row():

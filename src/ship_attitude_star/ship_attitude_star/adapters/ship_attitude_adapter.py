@@ -72,7 +72,7 @@ from ship_node.messages.sensor_readers import ins_block, ins_sample, sigma_misma
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart
 from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries
-from ship_stars.messages.surroundings_messages import position_feed, surroundings_feeds
+from ship_stars.messages.surroundings_messages import surroundings_feeds
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 
 INTEGRITY_TOPIC = "ship/integrity"
@@ -210,7 +210,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if self._sky_model is not None:
             yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings))
         elif config.needs_vertical:
-            yield position_feed(config.sky, ignore_time(core.add_surroundings))
+            yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), topics=("gnss/fix",))
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, is_valid_until_next=True)
             yield Feed(given, "gravity/deflection", deflection, ignore_time(core.add_surroundings))

@@ -1,5 +1,4 @@
 """Deflection of the vertical along the ship's track, and the distance run since a measurement.
 
-The folder imports the ship's position and samples from :mod:`ship_stars`, but neither camera, star solution nor the
-filter.
+The folder imports the ship's position from :mod:`ship_stars`, but neither camera, star solution nor the filter.
 """

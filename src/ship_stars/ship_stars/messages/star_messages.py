@@ -151,26 +151,19 @@ def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumn
 
 
 def _rejections(
-    star_columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
+    columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Rejection | None]:
     """Return the rejection of each star; None for a usable star."""
     first_pixels: dict[Hashable, list[float]] = {}
-    columns = (
-        star_columns.pixels,
-        directions_s[:, 0],
-        star_columns.sigma_px,
-        star_columns.hip,
-        entries.rows,
-        star_columns.right_ascension,
-    )
-    stars = zip(*(column.tolist() for column in (*columns, star_columns.declination)), strict=True)
+    measured = columns.pixels, directions_s[:, 0], columns.sigma_px
+    identity = columns.hip, entries.rows, columns.right_ascension, columns.declination
     return [
-        _pixel_rejection(pixel, forward)
-        or _sigma_rejection(sigma_px)
-        or _number_rejection(hip, row, catalogue)
-        or _direction_rejection(hip, right_ascension, declination)
+        _measurement_rejection(pixel, forward, sigma_px)
+        or _identity_rejection(hip, row, right_ascension, declination, catalogue)
         or _duplicate_rejection(_identity(hip, right_ascension, declination), pixel, first_pixels)
-        for pixel, forward, sigma_px, hip, row, right_ascension, declination in stars
+        for pixel, forward, sigma_px, hip, row, right_ascension, declination in zip(
+            *(column.tolist() for column in (*measured, *identity)), strict=True
+        )
     ]
 
 
@@ -189,32 +182,26 @@ def _unused_stars(
     )
 
 
-def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
-    finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
-    if finite and forward > _MIN_FORWARD:
-        return None
-    where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
-    if not finite:
-        return Rejection(Reason.NON_FINITE, where)
-    text = f"{where} is outside this camera's field of view: expected pixels counted from the corner of the detector"
-    return Rejection(Reason.UNITS, text)
+def _measurement_rejection(pixel: list[float], forward: float, sigma_px: float) -> Rejection | None:
+    """Return the rejection of a star with a bad centroid; None for other stars."""
+    is_finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
+    if not (is_finite and forward > _MIN_FORWARD):
+        where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
+        text = "is outside this camera's field of view: expected pixels counted from the corner of the detector"
+        return Rejection(Reason.UNITS, f"{where} {text}") if is_finite else Rejection(Reason.NON_FINITE, where)
+    if not _MIN_SIGMA_PX <= sigma_px <= _MAX_SIGMA_PX:
+        text = f"sigma_px {sigma_px:.3g}: expected {_MIN_SIGMA_PX:g} to {_MAX_SIGMA_PX:g} px"
+        return Rejection(Reason.BAD_COVARIANCE, text)
+    return None
 
 
-def _sigma_rejection(sigma_px: float) -> Rejection | None:
-    if _MIN_SIGMA_PX <= sigma_px <= _MAX_SIGMA_PX:
-        return None
-    text = f"sigma_px {sigma_px:.3g}: expected {_MIN_SIGMA_PX:g} to {_MAX_SIGMA_PX:g} px"
-    return Rejection(Reason.BAD_COVARIANCE, text)
-
-
-def _number_rejection(hip: int, row: int, catalogue: StarCatalogue) -> Rejection | None:
-    if hip == 0 or row != UNKNOWN:
-        return None
-    return Rejection(Reason.UNKNOWN_STAR, catalogue.missing_star_reason(hip) or "")
-
-
-def _direction_rejection(hip: int, right_ascension: float, declination: float) -> Rejection | None:
-    """Return the rejection of an unnumbered star with a bad right ascension or declination; None for other stars."""
+def _identity_rejection(
+    hip: int, row: int, right_ascension: float, declination: float, catalogue: StarCatalogue
+) -> Rejection | None:
+    """Return the rejection of a star with an unknown number, or a bad position and no number; None for other stars."""
+    if hip != 0 and row == UNKNOWN:
+        listed = f"{len(catalogue.hip)} stars, HIP {catalogue.hip[0]} to {catalogue.hip[-1]}"
+        return Rejection(Reason.UNKNOWN_STAR, f"HIP {hip} is not in Hipparcos-2 ({listed})")
     if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"

@@ -5,7 +5,7 @@ readers raise :class:`ship_node.messages.field_checks.MessageRejected`.
 """
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -134,7 +134,10 @@ def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMess
 
 
 def surroundings_feeds(
-    config: SkyConfig, process: Callable[[Any, int], Any], position_required: bool = True
+    config: SkyConfig,
+    process: Callable[[Any, int], Any],
+    position_required: bool = True,
+    topics: Iterable[str] = tuple(SURROUNDINGS),
 ) -> Iterator[Feed]:
     """Yield the rows of an adapter's table for position and air data.
 
@@ -142,18 +145,12 @@ def surroundings_feeds(
         config: parameters of the sky model.
         process: method of the core that processes these data.
         position_required: True if the node needs a position.
+        topics: the topics of :data:`SURROUNDINGS` that the node needs.
     """
-    for topic in SURROUNDINGS:
-        yield _surroundings_feed(topic, config, process, position_required)
-
-
-def position_feed(config: SkyConfig, process: Callable[[Any, int], Any]) -> Feed:
-    """Return the row of an adapter's table for the position alone, for a node without sensors that need air data."""
-    return _surroundings_feed("gnss/fix", config, process, required=True)
-
-
-def _surroundings_feed(topic: str, config: SkyConfig, process: Callable[[Any, int], Any], required: bool) -> Feed:
-    required = required and topic == "gnss/fix"
-    needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, is_valid_until_next=True)
-    continuous = POSITION if topic == PositionFix.source else None
-    return Feed(needed, topic, surroundings_reader(topic, config), process, stream_quantity=continuous)
+    for topic in topics:
+        is_position = topic == PositionFix.source
+        needed = InputTopic(
+            topic, SURROUNDINGS[topic], position_required and is_position, depth=100, is_valid_until_next=True
+        )
+        quantity = POSITION if is_position else None
+        yield Feed(needed, topic, surroundings_reader(topic, config), process, stream_quantity=quantity)

@@ -70,12 +70,6 @@ class StarCatalogue:
         row = np.minimum(np.searchsorted(self.hip, numbers), len(self.hip) - 1)
         return np.where(self.hip[row] == numbers, row, UNKNOWN)
 
-    def missing_star_reason(self, hip: int) -> str | None:
-        """Return a text stating that the catalogue does not contain a star; None if it contains the star."""
-        if self.rows(hip) != UNKNOWN:
-            return None
-        return f"HIP {hip} is not in Hipparcos-2 ({len(self.hip)} stars, HIP {self.hip[0]} to {self.hip[-1]})"
-
     def rows_brighter_than(self, magnitude: float) -> NDArray[np.int64]:
         """Return the rows of all stars up to a magnitude (Hp)."""
         return np.flatnonzero(self.magnitude <= magnitude)

@@ -138,10 +138,6 @@ class SensorMasks:
         hiding = self.masks.hidden_by_mask(direction_s @ self.rotation_ds.T)
         return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
 
-    def covering_masks(self, directions_s: FloatArray) -> list[str]:
-        """Return :meth:`DeckMasks.covering_masks` for directions in the sensor frame, shape (n, 3)."""
-        return self.masks.covering_masks(directions_s @ self.rotation_ds.T)
-
 
 def field_directions(half_field: FloatArray) -> FloatArray:
     """Return a grid of directions (forward, up, right) over a rectangular field of view and its edge, shape (n, 3).
@@ -279,7 +275,7 @@ def check_field_not_covered(masks: SensorMasks, field_s: FloatArray, prefix: str
     Raises:
         ParameterError: the masks cover the whole field; the text names the masks.
     """
-    covering = masks.covering_masks(field_s)
+    covering = masks.masks.covering_masks(field_s @ masks.rotation_ds.T)
     if covering:
         raise ParameterError(
             f"parameter '{prefix}.masks': {', '.join(covering)} cover the whole field of view, so that no star is "

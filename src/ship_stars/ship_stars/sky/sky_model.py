@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.kalman.kalman_filter import StateBlock, block
 from ship_estimation.rejection_rules import Reason, Rejection
-from ship_geometry.air.refraction import LOWEST_ELEVATION, ModelName, refraction, refraction_slopes, seen_through_air
+from ship_geometry.air.refraction import LOWEST_ELEVATION, ModelName, refraction, seen_through_air
 from ship_geometry.earth import late_erfa as erfa
 from ship_geometry.earth.earth_orientation import EarthOrientationTable, earth_orientation_table
 from ship_geometry.earth.star_directions import RefreshedSky, StarPositions, fixed_stars
@@ -124,22 +124,20 @@ class LocalSky:
         cached = self._cache.get(id(stars))
         if cached is not None:
             return cached[1]
-        found = self._compute_apparent_stars(stars)
-        for array in (found.direction_n, found.shared_n, found.elevation, found.visible):
-            array.flags.writeable = False
-        self._cache[id(stars)] = stars, found
-        if len(self._cache) > _MAX_CACHED_STAR_SETS:
-            del self._cache[next(iter(self._cache))]
-        return found
-
-    def _compute_apparent_stars(self, stars: StarPositions) -> ApparentStars:
         without_air = self.airless_sky.directions(stars, self.time_ns, self.position.observer)
         air = self.air
         weather_sigma = air.pressure_sigma_hpa, air.temperature_sigma_k
         seen = seen_through_air(
             self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.sky_rotations()
         )
-        return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
+        visible = np.isfinite(seen.direction_n[:, 1])
+        for array in (seen.direction_n, seen.shared_n, seen.elevation, visible):
+            array.flags.writeable = False
+        found = ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, visible)
+        self._cache[id(stars)] = stars, found
+        if len(self._cache) > _MAX_CACHED_STAR_SETS:
+            del self._cache[next(iter(self._cache))]
+        return found
 
     def low_elevation_rejection(self, elevation: float) -> Rejection:
         """Return the rejection of a star whose elevation (rad, without refraction) is outside the model's range."""
@@ -166,10 +164,6 @@ class LocalSky:
         found = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
         return float(found.angle), float(found.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 
-    def refraction_slopes_at(self, elevation: float) -> tuple[float, float]:
-        """Return the first and second derivative of refraction with respect to elevation, rad/rad and rad/rad²."""
-        return refraction_slopes(self.model, elevation, self.air.weather, self.wavelength_um)
-
     def aberration_at(self, direction_n: FloatArray) -> FloatArray:
         """Return the displacement of a star by aberration and light deflection, rad, shape (3,).
 
@@ -179,8 +173,7 @@ class LocalSky:
         rotation_nc = self.rotation_horizon_from_icrs()
         star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
         aberrated_n = self.airless_sky.directions(star, self.time_ns, self.position.observer)
-        displacement: FloatArray = aberrated_n - direction_n
-        return displacement
+        return np.asarray(aberrated_n - direction_n)
 
     def sky_rotations(self) -> FloatArray:
         """Return the rotation vectors of the sky by one sigma of SHARED_TERMS except refraction, rad, shape (n, 3)."""
@@ -311,7 +304,7 @@ SOURCE_UTC = UTC
 
 
 def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
-    """Return the state blocks, in the order of :data:`ship_stars.sky.sky_model.SHARED_TERMS`.
+    """Return the state blocks, in the order of :data:`SHARED_TERMS`.
 
     The states are in units of sigma, because the sigmas differ between exposures. The error of UT1 is constant for
     days, and so is the error of an unsynchronised clock.

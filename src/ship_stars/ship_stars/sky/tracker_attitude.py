@@ -27,7 +27,7 @@ for a covariance C and a direction u, C - C u uᵀ C / (uᵀ C u) is C condition
 import numpy as np
 
 from ship_estimation.rejection_rules import Rejection
-from ship_geometry.air.refraction import elevation_of, raising_axis
+from ship_geometry.air.refraction import elevation_of, raising_axis, refraction_slopes
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_stars.attitude_samples import AttitudeMeasurement, FieldOfView, InertialAttitude, SolvedAttitude
 from ship_stars.sky.sky_model import LocalSky, SkyModel
@@ -55,13 +55,13 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """
     rotation_ns, turns_n = solved.rotation_nv, local_sky.sky_rotations().T
     noise_n = rotation_ns @ solved.noise_v @ rotation_ns.T
-    lift, sigma = _refraction_lift(rotation_ns, local_sky)
+    # The axis about which refraction raises the boresight; the sigma is NaN below the range of the refraction model.
+    lift, sigma = raising_axis(rotation_ns[:, 0]), local_sky.refraction_at(float(elevation_of(rotation_ns[:, 0])))[1]
     if not solved.covariance_known:
         stated_n, lifted_n = np.zeros((3, 3)), (sigma if np.isfinite(sigma) else 0.0) * lift
     elif solved.has_noise_covariance:
-        stated_n, lifted_n = _split_refraction(
-            _without_sky_rotations(solved.common_n, turns_n), lift, _LOW_STARS_FACTOR * sigma
-        )
+        remaining_n = _without_sky_rotations(solved.common_n, turns_n)
+        stated_n, lifted_n = _split_refraction(remaining_n, lift, _LOW_STARS_FACTOR * sigma)
     else:
         stated_n, lifted_n = _split_refraction(_without_sky_rotations(noise_n, turns_n), lift, sigma)
     has_one_covariance = solved.covariance_known and not solved.has_noise_covariance
@@ -74,15 +74,6 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
         covariance_known=solved.covariance_known,
         shared_n=np.column_stack([lifted_n, turns_n]),
     )
-
-
-def _refraction_lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[FloatArray, float]:
-    """Return the axis about which refraction raises the boresight, and the sigma of refraction at the boresight, rad.
-
-    The sigma is NaN below the elevation range of the refraction model.
-    """
-    forward_n = rotation_ns[:, 0]
-    return raising_axis(forward_n), local_sky.refraction_at(float(elevation_of(forward_n)))[1]
 
 
 def _without_sky_rotations(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:
@@ -136,11 +127,9 @@ def to_horizon_attitude(
     local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):
         return local_sky
-    return (
-        separate_shared_errors(attitude, local_sky)
-        if isinstance(attitude, SolvedAttitude)
-        else _convert_to_horizon(attitude, local_sky)
-    )
+    if isinstance(attitude, SolvedAttitude):
+        return separate_shared_errors(attitude, local_sky)
+    return _convert_to_horizon(attitude, local_sky)
 
 
 def _convert_to_horizon(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
@@ -186,7 +175,7 @@ def _field_refraction(
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))
-    slope, curvature = local_sky.refraction_slopes_at(elevation)
+    slope, curvature = refraction_slopes(local_sky.model, elevation, local_sky.air.weather, local_sky.wavelength_um)
     # Horizontal compression ρ tan E; at the zenith it is equal to -dρ/dE.
     sideways = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_ASSUMED_STARS))

@@ -158,22 +158,16 @@ class StarExposure:
 
     def __getitem__(self, rows: Any) -> StarExposure:
         """Return the exposure with some of its stars."""
-        return StarExposure(
-            self.source,
-            self.time_ns,
-            self.hip[rows],
-            self.directions_s[rows],
-            self.sigma[rows],
-            self.positions[rows],
-            self.position_sigma[rows],
-            self.magnitude[rows],
-            self.length,
-            None if self.smear_s is None else self.smear_s[rows],
-            None if self.streak_length is None else self.streak_length[rows],
-            self.masks,
-            self.optics,
-            self.spatial,
-            self.pixel_dwell,
+        return replace(
+            self,
+            hip=self.hip[rows],
+            directions_s=self.directions_s[rows],
+            sigma=self.sigma[rows],
+            positions=self.positions[rows],
+            position_sigma=self.position_sigma[rows],
+            magnitude=self.magnitude[rows],
+            smear_s=None if self.smear_s is None else self.smear_s[rows],
+            streak_length=None if self.streak_length is None else self.streak_length[rows],
         )
 
     def with_pixel_dwell(self, before: PixelDwell | None) -> StarExposure:
@@ -220,23 +214,14 @@ class StarExposure:
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
-        return (
-            sigma
-            if self.streak_length is None
-            else sigma * np.sqrt(self.spatial.streak_variance_ratio(self.streak_length))
-        )
+        if self.streak_length is None:
+            return sigma
+        return sigma * np.sqrt(self.spatial.streak_variance_ratio(self.streak_length))
 
     def content(self) -> bytes:
         """Return the values of the message as bytes, to recognise a repetition and to sort messages with one stamp."""
-        positions = self.positions
-        arrays = (
-            self.hip,
-            self.directions_s,
-            self.sigma,
-            positions.right_ascension,
-            positions.declination,
-            self.magnitude,
-        )
+        places = self.positions.right_ascension, self.positions.declination
+        arrays = (self.hip, self.directions_s, self.sigma, *places, self.magnitude)
         length = b"" if self.length is None else np.float64(self.length.exposure_s).tobytes()
         return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays) + length
 
@@ -261,10 +246,8 @@ def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExp
     smear_s: FloatArray = spread_s * ((exposure.sigma / blur) ** 2)[:, None, None]
     streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)
-    directions_s[lost], smear_s[lost] = (
-        seen_s[lost],
-        _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3)),
-    )
+    directions_s[lost] = seen_s[lost]
+    smear_s[lost] = _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3))
     return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak_length=streak)
 
 
@@ -311,12 +294,8 @@ def visible_stars(
     if not is_visible.all():
         for row in np.flatnonzero(~is_visible).tolist():
             rejected.append((exposure.name(row), local_sky.low_elevation_rejection(float(apparent.elevation[row]))))
-        exposure, direction_n, shared_n, named = (
-            exposure[is_visible],
-            direction_n[is_visible],
-            shared_n[is_visible],
-            named[is_visible],
-        )
+        exposure, named = exposure[is_visible], named[is_visible]
+        direction_n, shared_n = direction_n[is_visible], shared_n[is_visible]
     false_match_density = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):

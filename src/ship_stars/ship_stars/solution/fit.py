@@ -10,9 +10,8 @@ displacement d_i of the star is linear in small unknowns:
 - m_s is the mounting error of the star's sensor s.
 - t are the errors of the rotations that transfer the exposures to one time. The columns of T_s are the rotations of the
   sensor by one sigma of each of these errors; sensors may share these errors.
-- f are the coefficients of the cameras' errors (:mod:`ship_stars.camera.errors`,
-  :mod:`ship_stars.camera.errors`). The columns of F_i are the displacements of the measured direction by
-  one sigma of each coefficient.
+- f are the coefficients of the cameras' errors (:mod:`ship_stars.camera.errors`). The columns of F_i are the
+  displacements of the measured direction by one sigma of each coefficient.
 - z are the errors that all stars share (refraction, Earth rotation, position). The columns of G_i are the displacements
   of the sky direction by one sigma of each error.
 

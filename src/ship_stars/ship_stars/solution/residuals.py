@@ -7,9 +7,8 @@ p = Rᵀ v by p × ε.
 
 The errors that all stars share (refraction, Earth rotation, position) are states of the filter
 (:mod:`ship_stars.sky.sky_model`). One sigma of such an error displaces v by g, and the predicted direction
-by Rᵀ g. The errors of the camera's optics (:mod:`ship_stars.camera.errors`) and the coefficients of the
-field-spatial error (:mod:`ship_stars.camera.errors`) are states too; they displace the measured
-direction.
+by Rᵀ g. The errors of the camera's optics and the coefficients of the field-spatial error
+(:mod:`ship_stars.camera.errors`) are states too; they displace the measured direction.
 """
 
 from dataclasses import dataclass, replace

@@ -2,8 +2,7 @@
 
 [P15] (13)-(16) gives the attitude as the solution of Wahba's problem. The error of the attitude is linear in the errors
 of :mod:`ship_stars.solution.fit`, and one set of normal equations contains the sensitivity of the attitude to each
-error. The
-noise of the stars averages over the stars; errors that the stars share do not.
+error. The noise of the stars averages over the stars; errors that the stars share do not.
 """
 
 import enum
@@ -48,7 +47,6 @@ _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
 """Magnitude of the Up component of the forward axis above which azimuth and roll are not separated."""
-
 
 _MAX_STEPS, _SMALL_TURN = 10, 1e-3
 """Limits of the search for the most likely attitude: maximum number of steps, and maximum of the last step, rad."""
@@ -133,9 +131,8 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
     fitted = members if count else np.ones_like(members)
     found = choice.attitude_fit or fit_attitude(stars, fitted)
     if found is None:
-        return invalid_solution(
-            members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(fitted))))
-        )
+        text = _undetermined_text(int(np.count_nonzero(fitted)))
+        return invalid_solution(members, Rejection(Reason.TOO_FEW_STARS, text))
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < MIN_VERIFIED_STARS else Reason.MISIDENTIFIED
@@ -204,9 +201,7 @@ def _undetermined_text(count: int) -> str:
 def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> SolutionStatus:
     if prior is None and count < MIN_VERIFIED_STARS:
         return SolutionStatus.UNVERIFIED
-    forward_n = rotation_nb[:, 0]
-    singular = abs(forward_n[1]) > _SINGULAR_UP
-    return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
+    return SolutionStatus.ANGLES_SINGULAR if abs(rotation_nb[1, 0]) > _SINGULAR_UP else SolutionStatus.VALID
 
 
 def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDArray[np.bool_]) -> FloatArray:
@@ -247,13 +242,10 @@ def _rejections(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.b
     rejected = {}
     for row in np.flatnonzero(~members).tolist():
         angle = float(np.linalg.norm(residual_n[row]))
-        text = f'{_angle_text(angle)} from its expected direction, sigma {sigma[row] / ARCSEC:.1f}"'
+        away = f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
+        text = f'{away} from its expected direction, sigma {sigma[row] / ARCSEC:.1f}"'
         rejected[row] = Rejection(Reason.MISIDENTIFIED, text)
     return rejected
-
-
-def _angle_text(angle: float) -> str:
-    return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
 
 
 def invalid_solution(members: NDArray[np.bool_], rejection: Rejection) -> StarSolution:
