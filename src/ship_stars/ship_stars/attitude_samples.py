@@ -242,12 +242,12 @@ class AttitudeEstimate:
         covariance_n: total error covariance, shape (3, 3).
         covariance_without_separation_n: error covariance without the inflation for solution separations, for the
             protection levels.
-        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         status: status of the attitude.
         horizon: horizon of the attitude.
         sources: sources of the attitude, for example ``("ins", "star.fore")``.
         star_age_s: time since the last accepted star measurement, s; NaN before the first.
         state: filter state from which the attitude was computed.
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,); NaN if not known.
         text: reason for DEGRADED or INVALID; else empty.
     """
 
@@ -256,12 +256,12 @@ class AttitudeEstimate:
     covariance_by_source_n: FloatArray
     covariance_n: FloatArray
     covariance_without_separation_n: FloatArray
-    rate_d: FloatArray
     status: Status
     horizon: Horizon
     sources: tuple[str, ...]
     star_age_s: float
     state: Any = field(repr=False)
+    rate_d: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     text: str = ""
 
 

@@ -30,6 +30,12 @@ ATTITUDE_ERROR = slice(0, 3)
 DEFLECTION = slice(3, 5)
 """Slice of the deflection of the vertical (xi, eta), in processes that contain it."""
 
+_CLOCK = 3
+"""Index of the INS time offset among the states that correct the INS; all other states belong to the INS process."""
+
+_DEFLECTION = slice(4, 6)
+"""Slice of the deflection of the vertical, if modelled, among the states that correct the INS."""
+
 
 class Propagation(NamedTuple):
     """Propagation of the n states of a process to N times; each shape is preceded by N.
@@ -110,18 +116,14 @@ def deflection_change(before: LocalVertical, here: LocalVertical, length_m: floa
     shift = np.zeros(2)
     if here.given_deflection is not None:
         # A deflection known for the first time has no immediate effect: the estimate approaches it over distance.
-        shift = here.given_deflection - remaining_ratio * (
-            here.given_deflection if before.given_deflection is None else before.given_deflection
-        )
+        earlier = here.given_deflection if before.given_deflection is None else before.given_deflection
+        shift = here.given_deflection - remaining_ratio * earlier
     return DeflectionChange(remaining_ratio, shift, (1.0 - remaining_ratio * remaining_ratio) * here.covariance)
 
 
 def own_error_matrix(here: LocalVertical) -> FloatArray:
     """Return the matrix from attitude error and deflection to the INS error relative to the gravity horizon, (3, 5)."""
     return np.hstack([np.eye(3), -here.deflection_jacobian])
-
-
-_SIZE = 5
 
 
 class GaussMarkovIns:
@@ -133,7 +135,7 @@ class GaussMarkovIns:
     """
 
     blocks: tuple[str, ...] = ("ins.attitude", "gravity.deflection")
-    size = _SIZE
+    size = 5
     needs_latitude = False
 
     def __init__(self, slow: StateBlock, length_m: float) -> None:
@@ -155,11 +157,11 @@ class GaussMarkovIns:
         turn, left, shift, fresh = (np.array(column)[index_of] for column in zip(*terms, strict=True))
         dt_s = np.array([(time_ns - since_ns) / SECOND_NS for time_ns in times_ns])
         decay = np.exp(-dt_s[:, None] / self._time_s)
-        transition = np.zeros((len(index_of), _SIZE, _SIZE))
+        transition = np.zeros((len(index_of), self.size, self.size))
         transition[:, range(3), range(3)] = decay
         transition[:, ATTITUDE_ERROR, DEFLECTION] = turn * left[:, None, None] - decay[:, :, None] * turn
         transition[:, (3, 4), (3, 4)] = left[:, None]
-        ins_noise = np.zeros((len(index_of), _SIZE, _SIZE))
+        ins_noise = np.zeros((len(index_of), self.size, self.size))
         ins_noise[:, range(3), range(3)] = self._sigma**2 * (1.0 - decay * decay)
         return Propagation(transition, shift, ins_noise, fresh)
 
@@ -197,13 +199,6 @@ def _distinct_verticals(verticals: list[LocalVertical]) -> tuple[list[LocalVerti
             distinct.append(here)
         index_of.append(len(distinct) - 1)
     return distinct, index_of
-
-
-_CLOCK = 3
-"""Index of the INS time offset among the states that correct the INS; all other states belong to the INS process."""
-
-_DEFLECTION = slice(4, 6)
-"""Slice of the deflection of the vertical, if modelled, among the states that correct the INS."""
 
 
 class PropagatedInsErrors(NamedTuple):
@@ -269,10 +264,8 @@ class InsErrorPropagation:
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
         count, size = len(times_ns), len(mean)
         of_process = np.tile(mean[self._of_process], (count, 1))
-        transition, noise = (
-            np.tile(np.eye(size), (count, 1, 1)),
-            np.zeros((count, len(covariance_by_source), size, size)),
-        )
+        transition = np.tile(np.eye(size), (count, 1, 1))
+        noise = np.zeros((count, len(covariance_by_source), size, size))
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
             # Before the first measurement, each time has the initial state.

@@ -203,10 +203,8 @@ class SchulerIns:
         change = deflection_change(before, here, self._length_m)
         remaining_ratio = np.ones(self.size)
         remaining_ratio[DEFLECTION] = change.remaining_ratio
-        shift, deflection_noise = (
-            remaining_ratio * propagation.shift,
-            remaining_ratio[:, None] * propagation.deflection_noise * remaining_ratio,
-        )
+        shift = remaining_ratio * propagation.shift
+        deflection_noise = remaining_ratio[:, None] * propagation.deflection_noise * remaining_ratio
         shift[DEFLECTION] += change.shift
         deflection_noise[DEFLECTION, DEFLECTION] += change.noise
         return Propagation(

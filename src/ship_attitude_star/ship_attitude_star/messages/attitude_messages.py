@@ -254,9 +254,7 @@ def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -
     return frames
 
 
-def installed_frames(
-    factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
-) -> Any:
+def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str) -> Any:
     """Return tf2_msgs/TFMessage of devices on the deck, without translation.
 
     Args:

@@ -94,10 +94,8 @@ def estimate_from_star(
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
     if to_gravity:
         assert filter_.vertical is not None
-        by_deflection, deflection = (
-            filter_.vertical.at(measurement.time_ns).deflection_jacobian,
-            model.state_indices("gravity.deflection"),
-        )
+        by_deflection = filter_.vertical.at(measurement.time_ns).deflection_jacobian
+        deflection = model.state_indices("gravity.deflection")
         rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
     covariance_by_source = jacobian @ state.covariance_by_source[:, rows[:, None], rows] @ jacobian.T
@@ -111,7 +109,6 @@ def estimate_from_star(
         covariance_by_source_n=covariance_by_source,
         covariance_n=covariance_n,
         covariance_without_separation_n=covariance_n,
-        rate_d=np.full(3, np.nan),
         status=Status.DEGRADED,
         horizon=Horizon.GRAVITY if to_gravity else Horizon.GEODETIC,
         sources=(measurement.source,),
@@ -123,25 +120,20 @@ def estimate_from_star(
 
 def invalid_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
     """Return an INVALID estimate, for lack of INS and star data or for the reason in the text."""
+    unknown, star_ns = np.full((3, 3), np.nan), newest_star_ns(filter_, state)
     return AttitudeEstimate(
         time_ns=now_ns,
-        rotation_nd=np.full((3, 3), np.nan),
+        rotation_nd=unknown,
         covariance_by_source_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
-        covariance_n=np.full((3, 3), np.nan),
-        covariance_without_separation_n=np.full((3, 3), np.nan),
-        rate_d=np.full(3, np.nan),
+        covariance_n=unknown,
+        covariance_without_separation_n=unknown,
         status=Status.INVALID,
         horizon=Horizon.GRAVITY,
         sources=(),
-        star_age_s=_age_s(newest_star_ns(filter_, state), now_ns),
+        star_age_s=float("nan") if star_ns is None else (now_ns - star_ns) / SECOND_NS,
         state=state,
         text=text,
     )
-
-
-def _age_s(since_ns: int | None, time_ns: int) -> float:
-    """Return the time since a stamp, s; NaN for None."""
-    return float("nan") if since_ns is None else (time_ns - since_ns) / SECOND_NS
 
 
 ShipEstimator = TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]

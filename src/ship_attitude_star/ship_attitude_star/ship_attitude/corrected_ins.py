@@ -185,6 +185,24 @@ class CorrectedIns:
         (series,) = corrected_estimates([self], [1], np.array([time_ns]), PropagatedBlock(*propagated), config)
         return series.estimate(0)
 
+    def attitudes_with_errors(
+        self, propagated: PropagatedBlock, error_n: FloatArray, covariance_by_source: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the results of :func:`corrected_attitudes` for INS errors that are known at the N times themselves.
+
+        Args:
+            propagated: INS samples propagated by the time offset.
+            error_n: attitude error of the INS at each time, rad, shape (N, 3).
+            covariance_by_source: covariance of attitude error and time offset, shape (N, n_sources, 4, 4).
+        """
+        count, constants = len(error_n), self.model_constants
+        unpropagated = np.arange(count, dtype=np.intp), np.zeros(count)
+        exceeding = np.ones((count, 3), dtype=np.uint8)
+        found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected_attitudes(
+            *unpropagated, *propagated, error_n, exceeding, *constants[:3], covariance_by_source, *constants[3:]
+        )
+        return found
+
     def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
         """Return the statuses of N attitudes, and the reasons why they are DEGRADED.
 
@@ -262,29 +280,6 @@ def corrected_attitudes(
     return found
 
 
-def _attitudes_with_deflection(
-    corrected: Sequence[CorrectedIns], segments: Sequence[slice], time_ns: StampArray, propagated: PropagatedBlock
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return the results of :func:`corrected_attitudes` if the filter needs the vertical.
-
-    Returns:
-        Attitudes and covariances, shapes (N, 3, 3) and (N, n_sources, 3, 3), and
-        :attr:`PropagatedInsErrors.vertical_known`, shape (N,).
-    """
-    errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
-    rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(
-        np.arange(len(time_ns), dtype=np.intp),
-        np.zeros(len(time_ns)),
-        *propagated,
-        np.concatenate([one.error_n for one in errors]),
-        np.ones((len(time_ns), 3), dtype=np.uint8),
-        *corrected[0].model_constants[:3],
-        np.concatenate([one.covariance_by_source for one in errors]),
-        *corrected[0].model_constants[3:],
-    )
-    return rotation_nd, covariance_by_source, np.concatenate([one.vertical_known for one in errors])
-
-
 def corrected_estimates(
     corrected: Sequence[CorrectedIns],
     counts: Sequence[int],
@@ -311,9 +306,13 @@ def corrected_estimates(
         )
         vertical_known = None
     else:
-        rotation_nd, covariance_by_source, vertical_known = _attitudes_with_deflection(
-            corrected, segments, time_ns, propagated
+        errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
+        rotation_nd, covariance_by_source = corrected[0].attitudes_with_errors(
+            propagated,
+            np.concatenate([one.error_n for one in errors]),
+            np.concatenate([one.covariance_by_source for one in errors]),
         )
+        vertical_known = np.concatenate([one.vertical_known for one in errors])
     for one, some in zip(corrected, segments, strict=True):
         if one.state.unresolved_fault is not None:
             covariance_by_source[some, one.drift_index] += one.state.unresolved_fault.covariance_n

@@ -68,21 +68,15 @@ class DecisionEffects:
         """
         rejection, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
-            state, inflation_text = self._inflate_after_rejections(
-                self._count_rejection(state, measurement.source), measurement.source
-            )
+            state = self._count_rejection(state, measurement.source)
+            state, inflation_text = self._inflate_after_rejections(state, measurement.source)
             state = self._fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
             text += inflation_text
         return state, AttitudeDecision(measurement, rejection.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
-        """Return the state with the consecutive rejections of a source increased by one."""
-        return with_changes(
-            state,
-            consecutive_rejections=with_entry(
-                state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1
-            ),
-        )
+        counts = state.consecutive_rejections
+        return with_changes(state, consecutive_rejections=with_entry(counts, source, counts.get(source, 0) + 1))
 
     def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """Inflate the covariance after every ``gate.reopen_after`` consecutive rejections of a source.
@@ -106,20 +100,18 @@ class DecisionEffects:
             if unconfirmed is not None:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self._devices.items()):
-                unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        rejection_counts = (
-            state.consecutive_rejections
-            if state.consecutive_rejections.get(source) == 0
-            else with_entry(state.consecutive_rejections, source, 0)
-        )
-        used_ns = with_entry(state.last_used_ns, source, measurement.time_ns)
+                text = "the attitude depends on a single star measurement"
+                unconfirmed = UnconfirmedStep(measurement.time_ns - 1, text, "stars", measurement.time_ns, source)
+        rejection_counts, used_ns = state.consecutive_rejections, state.last_used_ns
+        if rejection_counts.get(source) != 0:
+            rejection_counts = with_entry(rejection_counts, source, 0)
         pixel_dwells = state.pixel_dwells
         if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
         return with_changes(
             state,
             consecutive_rejections=rejection_counts,
-            last_used_ns=used_ns,
+            last_used_ns=with_entry(used_ns, source, measurement.time_ns),
             pixel_dwells=pixel_dwells,
             unconfirmed_step=unconfirmed,
         )
@@ -158,11 +150,6 @@ class DecisionEffects:
             text = f"{count} rejections in a row: {source} and the INS disagree{hint}"
         state, inflation_text = self._inflate_after_rejections(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)
-
-
-def _unconfirmed_first_star(source: str, time_ns: int) -> UnconfirmedStep:
-    """Return the unconfirmed step that is set by the first accepted star measurement."""
-    return UnconfirmedStep(time_ns - 1, "the attitude depends on a single star measurement", "stars", time_ns, source)
 
 
 def diagnosis_hint(
@@ -252,17 +239,13 @@ def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mappi
         return f"{against}, {_consistent_sources_text(consistent)} with the INS"
     if not others:
         return "no other source shows which of the two is faulty"
-    if _are_same_residual(list(inconsistent.values())):
+    if all(_is_same_residual(first, second) for first, second in combinations(inconsistent.values(), 2)):
         return f"only the INS differs, {', '.join(sorted(inconsistent))} disagree with the INS equally"
     return f"{', '.join(sorted(inconsistent))} disagree with the INS and with each other"
 
 
 def _consistent_sources_text(consistent: Sequence[str]) -> str:
     return f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'}"
-
-
-def _are_same_residual(residuals: Sequence[AttitudeResidual]) -> bool:
-    return all(_is_same_residual(first, second) for first, second in combinations(residuals, 2))
 
 
 def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool:

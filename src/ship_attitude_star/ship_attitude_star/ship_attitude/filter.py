@@ -252,9 +252,7 @@ class ShipFilter:
             predicted = self._with_common_error(predicted, linearised.measurement)
         return self._evaluate(state, predicted, measurement, linearised)
 
-    def _optics_contradiction(
-        self, state: FilterState, exposure: StarExposure, optics: slice
-    ) -> Rejection | None:
+    def _optics_contradiction(self, state: FilterState, exposure: StarExposure, optics: slice) -> Rejection | None:
         """Return the rejection of an exposure that contradicts the configured focal length; None for any other."""
         if exposure.optics is None:
             return None
@@ -364,13 +362,10 @@ class ShipFilter:
         inflated_innovations = subfilter_innovations(predicted.means, inflated, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
         whitened, root = inflated_innovations.whitened_innovation.copy(), inflated_innovations.whitening_root.copy()
-        whitened[subfilters], root[subfilters] = (
-            innovations.whitened_innovation[subfilters],
-            innovations.whitening_root[subfilters],
-        )
-        return with_changes(predicted, stack=inflated), inflated_innovations._replace(
-            whitened_innovation=whitened, whitening_root=root
-        )
+        whitened[subfilters] = innovations.whitened_innovation[subfilters]
+        root[subfilters] = innovations.whitening_root[subfilters]
+        mixed = inflated_innovations._replace(whitened_innovation=whitened, whitening_root=root)
+        return with_changes(predicted, stack=inflated), mixed
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection; a rejection if the source is excluded now."""

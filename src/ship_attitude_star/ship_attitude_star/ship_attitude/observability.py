@@ -63,9 +63,8 @@ def observability_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fil
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
     sigma_ratios = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return Observability(
-        dict(zip(names, sigma_ratios.tolist(), strict=True)), unobservable_combinations(covariance, before, names)
-    )
+    by_name = dict(zip(names, sigma_ratios.tolist(), strict=True))
+    return Observability(by_name, unobservable_combinations(covariance, before, names))
 
 
 def _prior_sigmas(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:
@@ -273,10 +272,8 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
             state.time_ns, state.vertical, [end_ns], _ConstantVertical(state.vertical)
         )
         rows = np.ix_(model.process_indices, model.process_indices)
-        transition[rows], noise[rows] = (
-            propagation.transition[0],
-            propagation.ins_noise[0] + propagation.deflection_noise[0],
-        )
+        transition[rows] = propagation.transition[0]
+        noise[rows] = propagation.ins_noise[0] + propagation.deflection_noise[0]
     return transition, noise
 
 

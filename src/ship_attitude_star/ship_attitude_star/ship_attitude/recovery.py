@@ -67,10 +67,8 @@ def memory_residual(
     to_rotation = found.compared.predicted_nv @ noise_v @ weighted.T
     by_state = to_rotation @ linear.jacobian
     noise_n = found.compared.predicted_nv @ noise_v @ found.compared.predicted_nv.T
-    expected, drift = (
-        by_state @ state.covariance @ by_state.T,
-        by_state @ _growth_per_second(filter_, state) @ by_state.T,
-    )
+    expected = by_state @ state.covariance @ by_state.T
+    drift = by_state @ _growth_per_second(filter_, state) @ by_state.T
     return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
 
 

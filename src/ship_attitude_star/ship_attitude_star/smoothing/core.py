@@ -29,8 +29,7 @@ from ship_estimation.plausibility.checked_ins import InsChange
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_geometry.tracks.attitude_track import InterpolatedAttitude
-from ship_kernels import compiled_rotations
+from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
 from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 
@@ -259,19 +258,9 @@ class SmoothingCore(ShipAttitudeCore):
         parts = np.zeros((len(corrections), len(self.filter.model.sources), _TIME_OFFSET + 1, _TIME_OFFSET + 1))
         # Smoothing gives no covariance by error source; the smoothed covariance is assigned to the INS drift.
         parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in corrections]
-        rotations_nd, parts_n = compiled_rotations.corrected_attitudes(
-            np.arange(len(corrections), dtype=np.intp),
-            np.zeros(len(corrections)),
-            np.array([ins.rotation_nd for _, _, ins in corrections]),
-            np.array([ins.rate_d for _, _, ins in corrections]),
-            np.array([ins.noise_gain for _, _, ins in corrections]),
-            np.array([ins.error_covariance_d for _, _, ins in corrections]),
-            errors,
-            np.ones((len(corrections), 3), dtype=np.uint8),
-            *corrected.model_constants[:3],
-            parts,
-            *corrected.model_constants[3:],
-        )
+        columns = ([getattr(ins, name) for _, _, ins in corrections] for name in PropagatedBlock._fields)
+        propagated = PropagatedBlock(*map(np.array, columns))
+        rotations_nd, parts_n = corrected.attitudes_with_errors(propagated, errors, parts)
         for (real_time, _, ins), rotation_nd, of_source in zip(corrections, rotations_nd, parts_n, strict=True):
             covariance_without_separation_n = of_source.sum(axis=0)
             if real_time.separation_covariance_n is not None:

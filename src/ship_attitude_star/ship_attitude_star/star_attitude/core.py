@@ -361,9 +361,7 @@ class StarCore:
         time_ns = group[0].time_ns
         # A conflict of a sensor may have been detected after its exposure was solved.
         group = [
-            placed
-            if self._contradiction(placed.source, placed.time_ns) is None
-            else replace(placed, stars=None)
+            placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
             for placed in group
         ]
         # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.

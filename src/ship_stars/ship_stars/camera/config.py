@@ -67,9 +67,7 @@ def _coefficient(doc: str) -> Any:
 class CameraConfig:
     """Camera of a star sensor; only a sensor that measures single stars needs it."""
 
-    focal_length_m: float = parameter(
-        0.0, doc="focal length; 0: not given", unit="m", minimum=0.0, maximum=10.0
-    )
+    focal_length_m: float = parameter(0.0, doc="focal length; 0: not given", unit="m", minimum=0.0, maximum=10.0)
     pixel_pitch_m: float = parameter(0.0, doc="pixel pitch; 0: not given", unit="m", minimum=0.0, maximum=0.001)
     principal_u_px: float = parameter(
         0.0, doc="column of the boresight; 0: centre of the first pixel", unit="px", minimum=-1e5, maximum=1e5

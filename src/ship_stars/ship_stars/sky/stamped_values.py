@@ -162,11 +162,8 @@ class StampedValues(Generic[Value]):
         before = self._state_before(place)
         if before.last_accepted is None or self._next_state(before, _Stamped(time_ns, value)).last_rejected is None:
             return None
-        limits, distance, allowed = (
-            self._limits,
-            value.distance_to(before.last_accepted.value),
-            self._max_distance(before, time_ns, value),
-        )
+        limits, distance = self._limits, value.distance_to(before.last_accepted.value)
+        allowed = self._max_distance(before, time_ns, value)
         seconds = (time_ns - before.last_accepted.time_ns) / SECOND_NS
         jumped = f"jump by {distance:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s earlier"
         if distance > allowed:
@@ -175,9 +172,8 @@ class StampedValues(Generic[Value]):
             jumped += ", consistent with other values that jumped"
         condition = f"the jump has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
-            condition = (
-                f"{limits.min_consistent} in a row are consistent (the accepted one is provisional), or {condition}"
-            )
+            in_a_row = f"{limits.min_consistent} in a row are consistent (the accepted one is provisional)"
+            condition = f"{in_a_row}, or {condition}"
         return Rejection(Reason.JUMP, f"{jumped}; accepted once {condition}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
@@ -283,12 +279,8 @@ class StampedValues(Generic[Value]):
             return _AcceptanceState(new, new.time_ns)
         distance, step_s = new.value.distance_to(last_accepted.value), 0.0
         consistent_count = min(before.consistent_count + (distance != 0.0), limits.min_consistent)
-        accepted = _AcceptanceState(
-            new,
-            before.constant_since_ns if distance == 0.0 else new.time_ns,
-            is_first=False,
-            consistent_count=consistent_count,
-        )
+        constant_since_ns = before.constant_since_ns if distance == 0.0 else new.time_ns
+        accepted = _AcceptanceState(new, constant_since_ns, is_first=False, consistent_count=consistent_count)
         if last_rejected is not None:
             step_s = (new.time_ns - last_rejected.time_ns) / SECOND_NS
         if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(

@@ -11,7 +11,6 @@ they are consistent with the INS again. A jump of the INS is detected from its o
 (:mod:`ship_attitude_star.ship_attitude.faults.ins_fault_handling`).
 """
 
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -116,10 +115,9 @@ class ShipFaultDetector(ShipSourceExclusion):
                 correction_sums = correction_sums.with_correction(
                     innovations, comparison.linear.jacobian, self._ins_attitude.start
                 )
-        means = predicted.means + corrections
         return with_changes(
             predicted,
-            means=means,
+            means=predicted.means + corrections,
             stack=stack,
             innovation_means=innovation_means,
             last_innovations=last_innovations,
@@ -226,14 +224,11 @@ class ShipFaultDetector(ShipSourceExclusion):
             separation_sigmas = separation_sigmas.copy()
             for row, source in enumerate(self.subfilters.sources, start=1):
                 if source in in_use and source in state.recent_innovations:
-                    separation_sigmas[row] = np.maximum(
-                        separation_sigmas[row], state.recent_innovations[source].largest_sigmas
-                    )
+                    largest_sigmas = state.recent_innovations[source].largest_sigmas
+                    separation_sigmas[row] = np.maximum(separation_sigmas[row], largest_sigmas)
         # NaN counts as large.
         within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in separation_sigmas.tolist())
-        correction_sums = state.correction_sums.with_unresolved_error(
-            time_ns, round(self._return_after_s * SECOND_NS)
-        )
+        correction_sums = state.correction_sums.with_unresolved_error(time_ns, round(self._return_after_s * SECOND_NS))
         shared_error = correction_sums.unresolved
         is_covered = state.unresolved_fault is not None or state.separation_covariance_n is not None
         if within and not is_covered and shared_error is None:

@@ -202,11 +202,9 @@ class InsFaultHandling:
         """
         innovation = innovations.whitened_innovation[0]
         # NaN is inconsistent.
-        return (
-            state
-            if is_consistent and innovation @ innovation <= self._consistent_gate
-            else self.with_contradiction(state, time_ns)
-        )
+        if is_consistent and innovation @ innovation <= self._consistent_gate:
+            return state
+        return self.with_contradiction(state, time_ns)
 
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS after its reinstatement time, but not while another fault is unresolved.
@@ -222,9 +220,9 @@ class InsFaultHandling:
         if state.unresolved_fault is not None and not is_by_stars:
             return state
         since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
-        after_s = (
-            _CONSISTENT_FOR_S if exclusion.is_self_reported else reinstatement_time_s(exclusion, self._return_after_s)
-        )
+        after_s = reinstatement_time_s(exclusion, self._return_after_s)
+        if exclusion.is_self_reported:
+            after_s = _CONSISTENT_FOR_S
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if is_by_stars:

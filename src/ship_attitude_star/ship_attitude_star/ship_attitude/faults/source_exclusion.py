@@ -251,15 +251,14 @@ class ShipSourceExclusion(FaultDetector):
         """
         since_ns = state.excluded[source].since_ns
         stars = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
-        if (
-            state.unresolved_fault is None
-            or len(stars) < len(self.subfilters.stars)
-            or not self.ins_fault.can_be_excluded([*stars])
-        ):
-            return False
-        return all(
-            one.growing_since_ns is not None and time_ns - one.growing_since_ns >= _DRIFT_DURATION_NS
-            for one in stars.values()
+        all_stars = len(stars) >= len(self.subfilters.stars) and self.ins_fault.can_be_excluded([*stars])
+        return (
+            state.unresolved_fault is not None
+            and all_stars
+            and all(
+                one.growing_since_ns is not None and time_ns - one.growing_since_ns >= _DRIFT_DURATION_NS
+                for one in stars.values()
+            )
         )
 
     @staticmethod
@@ -323,7 +322,5 @@ def _remaining_offset_sigma(state: FilterState, source: str, innovations: Filter
     if offset is None:
         return 0.0
     whitened_offset = np.linalg.pinv(state.last_innovations[source].root) @ offset
-    by_state = np.eye(3) - innovations.whitened_noise
-    return math.sqrt(max(float(whitened_offset @ by_state @ whitened_offset), 0.0)) / float(
-        whitened_offset @ whitened_offset
-    )
+    by_state, square = np.eye(3) - innovations.whitened_noise, float(whitened_offset @ whitened_offset)
+    return math.sqrt(max(float(whitened_offset @ by_state @ whitened_offset), 0.0)) / square
