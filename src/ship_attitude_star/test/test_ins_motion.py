@@ -53,8 +53,8 @@ def exposure_at(time_ns: int) -> StarExposure:
 
 def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rotation from one time to another, and its covariance."""
-    turns = some.deck_turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
-    return turns.rotations[0], turns.covariance_d[0, :, 0]
+    rotations, covariance_d = some.deck_turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
+    return rotations[0], covariance_d[0, :, 0]
 
 
 def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
@@ -151,15 +151,15 @@ def test_rotations_over_short_times_have_only_the_noise_not_shared(
             some.track.insert(replace(one, rotation_nd=noise @ one.rotation_nd))
         start_ms = rng.uniform(4.0, 5.0) * period_ms
         to_ns, *from_ns = (START_NS + round((start_ms + k * periods * period_ms) * MS) for k in range(3))
-        turns = some.deck_turns(to_ns, [exposure_at(time_ns) for time_ns in from_ns])
+        turns, covariance_d = some.deck_turns(to_ns, [exposure_at(time_ns) for time_ns in from_ns])
         to_nd, *from_nd = (attitude(1e-9 * (t - START_NS), HEADING_DEG) for t in (to_ns, *from_ns))
-        errors = [log_rotation(to_nd.T @ one @ turn.T) for one, turn in zip(from_nd, turns.rotations, strict=True)]
+        errors = [log_rotation(to_nd.T @ one @ turn.T) for one, turn in zip(from_nd, turns, strict=True)]
         if periods == 0.0:
-            np.testing.assert_array_equal(turns.covariance_d, 0.0)
+            np.testing.assert_array_equal(covariance_d, 0.0)
             np.testing.assert_allclose(errors, 0.0, atol=1e-15)
             continue
         squares += np.sum((shares @ errors) ** 2, axis=-1)
-        variance += np.einsum("sj,jaka,sk->s", shares, turns.covariance_d, shares)
+        variance += np.einsum("sj,jaka,sk->s", shares, covariance_d, shares)
     if periods > 0.0:
         low, high = sigma_ratio_band(3 * draws)
         ratio = np.sqrt(squares / variance)
@@ -171,11 +171,11 @@ def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction(
     some = motion(StarInsConfig(time_offset_sigma_s=0.0), *(sample(t) for t in range(0, 2000, 40)))
     camera = StarCamera(0.06, 24e-6, 511.5, 511.5)
     streak = replace(exposure_at(START_NS + 1013 * MS), length=ExposureLength(0.2, camera, 0.8))
-    middle = some.at_middle(streak, MountingConfig(azimuth_deg=0.0, elevation_deg=45.0))
-    assert middle.noise_variance > (0.3 * ARCSEC) ** 2
-    covariance_d = some.deck_turns(streak.time_ns, [middle.exposure, middle.exposure]).covariance_d
+    middle, noise_variance, _ = some.at_middle(streak, MountingConfig(azimuth_deg=0.0, elevation_deg=45.0))
+    assert noise_variance > (0.3 * ARCSEC) ** 2
+    _, covariance_d = some.deck_turns(streak.time_ns, [middle, middle])
     for one, other in itertools.product(range(2), range(2)):
-        np.testing.assert_allclose(covariance_d[one, :, other], middle.noise_variance * np.eye(3), rtol=1e-12)
+        np.testing.assert_allclose(covariance_d[one, :, other], noise_variance * np.eye(3), rtol=1e-12)
 
 
 def test_no_rotation_needs_no_ins() -> None:

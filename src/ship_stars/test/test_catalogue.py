@@ -80,16 +80,8 @@ def test_error_grows_with_the_years_since_the_epoch():
     assert catalogue.position_sigma_at(row, 2026.25) == pytest.approx(expected)
 
 
-def test_entries_of_an_exposures_stars():
-    catalogue = hipparcos()
-    time_ns = 1_404_906_607_800_000_000
-    assert julian_year(time_ns) == pytest.approx(2014.52, abs=0.005)
-    entries = catalogue.entries(np.array([92_420, 0, 421]), time_ns)
-    assert (entries.rows == UNKNOWN).tolist() == [False, True, True]
-    row = entries.rows[:1]
-    assert entries.sigma[:1] == catalogue.position_sigma_at(row, julian_year(time_ns))
-    assert entries.positions[:1].right_ascension == catalogue.at_j2000[row].right_ascension
-    assert len(catalogue.entries(np.empty(0, dtype=np.int64), time_ns).rows) == 0
+def test_julian_year():
+    assert julian_year(1_404_906_607_800_000_000) == pytest.approx(2014.52, abs=0.005)
 
 
 def test_files_that_do_not_fit_are_named(tmp_path):

@@ -65,32 +65,6 @@ class _Checkpoint(NamedTuple):
     propagation: Propagation
 
 
-class _PropagationCache(NamedTuple):
-    """Stored propagations from a start time.
-
-    Attributes:
-        since_ns: start time.
-        before: vertical at the start time.
-        checkpoints: propagations up to each of the last steps.
-    """
-
-    since_ns: int
-    before: LocalVertical
-    checkpoints: deque[_Checkpoint]
-
-
-class _PowerSeries(NamedTuple):
-    """Power series in time of the propagation with a constant vertical.
-
-    Attributes:
-        transition: terms of the transition matrix, shape (5, n, n).
-        noise: terms of the added covariance, shape (5, n, n); the first term is zero.
-    """
-
-    transition: FloatArray
-    noise: FloatArray
-
-
 class SchulerIns:
     """Process of INS attitude, velocity, latitude and sensor errors, and of the deflection if it is modelled.
 
@@ -110,8 +84,9 @@ class SchulerIns:
         self._states = np.delete(np.arange(_ALL), DEFLECTION) if length_m is None else np.arange(_ALL)
         self.size = len(self._states)
         self._density = _noise_density(config)[self._states]
-        self._series_cache: tuple[LocalVertical, _PowerSeries] | None = None
-        self._cache: _PropagationCache | None = None
+        self._series_cache: tuple[LocalVertical, FloatArray, FloatArray] | None = None
+        # Start time, vertical at this time, and propagations from there up to each of the last steps.
+        self._cache: tuple[int, LocalVertical, deque[_Checkpoint]] | None = None
 
     def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`; initially, the INS is levelled by gravity."""
@@ -154,9 +129,9 @@ class SchulerIns:
         because a change of the vertical at one step creates new objects for all later steps.
         """
         last = time_ns // STEP_NS
-        if self._cache is None or self._cache.since_ns != since_ns or self._cache.before is not before:
-            self._cache = _PropagationCache(since_ns, before, deque(maxlen=_MAX_CHECKPOINTS))
-        checkpoints = self._cache.checkpoints
+        if self._cache is None or self._cache[0] != since_ns or self._cache[1] is not before:
+            self._cache = since_ns, before, deque(maxlen=_MAX_CHECKPOINTS)
+        checkpoints = self._cache[2]
         while checkpoints and (
             checkpoints[-1].step > last or checkpoints[-1].here is not vertical.at(checkpoints[-1].step * STEP_NS)
         ):
@@ -185,8 +160,8 @@ class SchulerIns:
 
     def _with_constant_vertical(self, propagation: Propagation, here: LocalVertical, time_ns: int) -> Propagation:
         """Extend a propagation by a time of at most one step with a constant vertical."""
-        series, powers = self._power_series(here), (time_ns / SECOND_NS) ** np.arange(_SERIES_TERMS + 1.0)
-        transition, noise = np.tensordot(powers, series.transition, 1), np.tensordot(powers, series.noise, 1)
+        powers = (time_ns / SECOND_NS) ** np.arange(_SERIES_TERMS + 1.0)
+        transition, noise = (np.tensordot(powers, terms, 1) for terms in self._power_series(here))
         return Propagation(
             transition @ propagation.transition,
             transition @ propagation.shift,
@@ -216,8 +191,12 @@ class SchulerIns:
 
     # -- differential equations -----------------------------------------------------------------------------------
 
-    def _power_series(self, here: LocalVertical) -> _PowerSeries:
-        """Return the power series for a vertical; the last series is stored."""
+    def _power_series(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
+        """Return the power series in time of the propagation with a constant vertical; the last series is stored.
+
+        Returns:
+            Terms of the transition matrix and of the added covariance, shapes (5, n, n).
+        """
         if self._series_cache is None or self._series_cache[0] is not here:
             system_matrix = self.system_matrix(here)
             transition, noise = [np.eye(self.size)], [np.zeros((self.size, self.size)), np.diag(self._density)]
@@ -225,8 +204,8 @@ class SchulerIns:
                 transition.append(system_matrix @ transition[-1] / term)
             for term in range(2, _SERIES_TERMS + 1):
                 noise.append((system_matrix @ noise[-1] + noise[-1] @ system_matrix.T) / term)
-            self._series_cache = here, _PowerSeries(np.array(transition), np.array(noise))
-        return self._series_cache[1]
+            self._series_cache = here, np.array(transition), np.array(noise)
+        return self._series_cache[1:]
 
     def system_matrix(self, here: LocalVertical) -> FloatArray:
         """Return the system matrix of the differential equations for a vertical, 1/s, shape (n, n)."""

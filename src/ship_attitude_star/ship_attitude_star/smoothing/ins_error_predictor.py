@@ -1,7 +1,6 @@
 """Prediction of the INS errors at times after an estimate, with their cross-covariance to the next estimate."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,20 +17,6 @@ _TIME_OFFSET = 3
 
 ShipAnchor = Anchor[LocalVertical | None]
 """Estimate with the vertical at its time; the vertical is None if the filter does not need it."""
-
-
-class _Transition(NamedTuple):
-    """Propagation of the n states to N times.
-
-    Attributes:
-        transition: transition matrices, shape (N, n, n).
-        means: propagated means, shape (N, n).
-        noise: added covariance, shape (N, n, n).
-    """
-
-    transition: FloatArray
-    means: FloatArray
-    noise: FloatArray
 
 
 class InsErrorPredictor:
@@ -55,8 +40,8 @@ class InsErrorPredictor:
     def cross_to(self, anchor: ShipAnchor, later: ShipAnchor) -> FloatArray:
         """See :meth:`ship_estimation.kalman.rts_smoother.StatePredictor.cross_to`."""
         assert later.time_ns is not None
-        (transition,) = self._transition_to(anchor, [later.time_ns]).transition
-        cross: FloatArray = anchor.estimate.covariance @ transition.T
+        transition, _, _ = self._transition_to(anchor, [later.time_ns])
+        cross: FloatArray = anchor.estimate.covariance @ transition[0].T
         return cross
 
     def estimates_at(
@@ -77,23 +62,24 @@ class InsErrorPredictor:
             # Before the first measurement Gauss-Markov errors are stationary.
             means, covariances = np.tile(mean, (len(times_ns), 1)), np.tile(covariance, (len(times_ns), 1, 1))
         else:
-            passage = self._transition_to(anchor, times_ns)
-            means = passage.means
-            transition = passage.transition
-            covariances = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
+            transition, means, noise = self._transition_to(anchor, times_ns)
+            covariances = transition @ covariance @ np.swapaxes(transition, -1, -2) + noise
         to_output = self._output_matrix(times_ns)
         output_covariance = to_output @ covariances
-        known = GaussianEstimate(
-            (to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2)
-        )
+        output_means = (to_output @ means[..., None])[..., 0]
+        known = GaussianEstimate(output_means, output_covariance @ np.swapaxes(to_output, -1, -2))
         if later is None:
             return known, None
         assert later.time_ns is not None
         onward = self._transition_from(anchor, times_ns, later.time_ns)
         return known, output_covariance @ np.swapaxes(onward, -1, -2)
 
-    def _transition_to(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Transition:
-        """Return the propagation of the states from an anchor to N times."""
+    def _transition_to(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the propagation of the n states from an anchor to N times.
+
+        Returns:
+            Transition matrices (N, n, n), propagated means (N, n), and added covariance (N, n, n).
+        """
         assert anchor.time_ns is not None
         model, mean = self._model, anchor.estimate.mean
         dt_s = 1e-9 * (np.array(times_ns) - anchor.time_ns).astype(float)
@@ -105,7 +91,7 @@ class InsErrorPredictor:
             means[:, ins_attitude] = propagate_correlated_error(
                 mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma
             )
-            return _Transition(transition, means, noise)
+            return transition, means, noise
         assert model.ins_process is not None
         assert anchor.prediction_input is not None
         block = np.s_[:, model.process_indices[:, None], model.process_indices]
@@ -115,7 +101,7 @@ class InsErrorPredictor:
             mean[None, model.process_indices], anchor.prediction_input, propagation
         )
         means[:, model.process_indices] = of_process[:, 0]
-        return _Transition(transition, means, noise)
+        return transition, means, noise
 
     def _transition_from(self, anchor: ShipAnchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
         """Return the transition matrices from N times after an anchor to a later time, shape (N, n, n)."""

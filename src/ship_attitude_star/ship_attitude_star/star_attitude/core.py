@@ -327,13 +327,13 @@ class StarCore:
         if contradiction is not None:
             return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)
         sensor = self._sensor(waiting.exposure.source)
-        middle = self._ins.at_middle(waiting.exposure, sensor)
-        exposure, prior = middle.exposure, self._ins.sensor_prior(waiting.exposure.time_ns, sensor)
+        exposure, noise_variance, error_variance = self._ins.at_middle(waiting.exposure, sensor)
+        prior = self._ins.sensor_prior(exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
             # The solution would be compared with the INS, but the errors along the streaks are not known.
             return rejected_exposure(exposure, waiting.rejected_stars, exposure.length.coverage_rejection)
         placed, solved = solve_exposure(
-            exposure, waiting.rejected_stars, prior, self._sky_model, middle.noise_variance, middle.error_variance
+            exposure, waiting.rejected_stars, prior, self._sky_model, noise_variance, error_variance
         )
         if exposure.length is not None and exposure.smear_s is None and solved.is_valid:
             text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"
@@ -365,14 +365,14 @@ class StarCore:
             for placed in group
         ]
         # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
-        turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
+        turns, covariance_d = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)
-            for placed, turn in zip(group, turns.rotations, strict=True)
+            for placed, turn in zip(group, turns, strict=True)
         ]
         prior = self._ins.deck_prior(time_ns)
         self.joined_by_ins = prior is not None
-        return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
+        return solve_deck(time_ns, mounted, covariance_d, self._config.star_sensors, prior)
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

@@ -34,35 +34,6 @@ from ship_stars.solution.selection import StarPrior
 INS = "ins"
 
 
-@dataclass(frozen=True)
-class ExposureAtMiddle:
-    """An exposure reduced to its middle by the rotation from the INS.
-
-    Attributes:
-        exposure: stars with their directions at the middle.
-        noise_variance: variance of a rotation of all directions due to INS noise, each axis, rad².
-        error_variance: variance of a rotation of all directions, each axis, rad²: upper bound for the interpolation
-            error, or variance of the unmeasured rotation in an exposure without INS samples.
-    """
-
-    exposure: StarExposure
-    noise_variance: float
-    error_variance: float
-
-
-@dataclass(frozen=True)
-class DeckTurns:
-    """Rotations of the deck from m exposures to one time.
-
-    Attributes:
-        rotations: rotations "deck at this time from deck at the exposure", shape (m, 3, 3).
-        covariance_d: error covariance of the rotations, rotation vectors in the deck frame, rad², shape (m, 3, m, 3).
-    """
-
-    rotations: FloatArray
-    covariance_d: FloatArray
-
-
 @dataclass
 class MotionBatch:
     """A batch of checked INS samples.
@@ -200,12 +171,16 @@ class InsMotion:
         is_known = self._attitude_at(to_ns) is not None and self._attitude_at(from_ns) is not None
         return is_known and bool(np.all(self._ins_jumps_n(to_ns) == self._ins_jumps_n(from_ns)))
 
-    def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
-        """Return the rotations of the deck from the middles of exposures to one time.
+    def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> tuple[FloatArray, FloatArray]:
+        """Return the rotations of the deck from the middles of m exposures to one time.
 
         The correlated error of the INS is constant over these times and cancels. Noise and interpolation errors remain,
         and the time offset if the rate changes. The noise of the reduction to the middle (:meth:`at_middle`) is
         included, because the two noises are correlated. A rotation that is not known is assumed zero.
+
+        Returns:
+            Rotations "deck at this time from deck at the exposure", shape (m, 3, 3), and the error covariance of their
+            rotation vectors in the deck frame, rad², shape (m, 3, m, 3).
         """
         turned_rows = [
             row
@@ -223,7 +198,7 @@ class InsMotion:
             known = [end for end in ends if end is not None]
             rotations[turned_rows], between = self._turns_between(known[0], known[1:])
             covariance_d[np.ix_(turned_rows, range(3), turned_rows, range(3))] += between
-        return DeckTurns(rotations, covariance_d)
+        return rotations, covariance_d
 
     def _turns_between(
         self, end: InterpolatedAttitude, starts: Sequence[InterpolatedAttitude]
@@ -256,22 +231,26 @@ class InsMotion:
         mounting_n = rotation_ns * mounting.installation_sigma_s
         return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
-    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> ExposureAtMiddle:
+    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> tuple[StarExposure, float, float]:
         """Return an exposure reduced to its middle, from the rotation of the deck during the exposure.
 
         Constant INS errors do not affect the rotation. If the rotation is not known, the stars are not changed.
+
+        Returns:
+            The exposure, and two variances of a rotation of all directions, each axis, rad²: due to INS noise, and an
+            upper bound for the interpolation error, or the variance of the unmeasured rotation without INS samples.
         """
         length = exposure.length
         if length is None:
-            return ExposureAtMiddle(exposure, 0.0, 0.0)
+            return exposure, 0.0, 0.0
         stamp_ns = exposure.time_ns - self._offset_ns
         turning = None if self._is_contradictory(stamp_ns) else exposure_motion(self.track, stamp_ns, length.nodes)
         if turning is None:
             unmeasured_acceleration = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
-            return ExposureAtMiddle(exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration)))
+            return exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
         corrected = reduce_to_mid_exposure(exposure, turning.in_device_frame(mounting.rotation_ds).turns)
-        return ExposureAtMiddle(corrected, white_variance, turning.correction_error)
+        return corrected, white_variance, turning.correction_error
 
     def drop_before(self, time_ns: int) -> None:
         """Discard data that are not needed for times from ``time_ns`` on."""

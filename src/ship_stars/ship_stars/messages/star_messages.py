@@ -20,7 +20,7 @@ from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_node.messages.field_checks import ReadMessage, check_device_id, check_frame, exposure_length_s, stamp_ns
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
-from ship_stars.sky.catalogue import UNKNOWN, CatalogueEntries, StarCatalogue
+from ship_stars.sky.catalogue import UNKNOWN, StarCatalogue, julian_year
 from ship_stars.sky.deck_masks import SensorMasks
 from ship_stars.solution.exposure import ExposureLength, StarExposure
 
@@ -112,8 +112,11 @@ def star_exposure(
         np.where(np.abs(columns.pixels) < _MAX_PIXEL, columns.pixels, np.nan),
         np.where(np.abs(columns.sigma_px) <= _MAX_SIGMA_PX, columns.sigma_px, np.nan),
     )
-    entries, given = catalogue.entries(columns.hip, time_ns), fixed_stars(columns.right_ascension, columns.declination)
-    rejections = _rejections(columns, directions_s, entries, catalogue)
+    rows, given = catalogue.rows(columns.hip), fixed_stars(columns.right_ascension, columns.declination)
+    # Values of stars without a row are not used.
+    any_rows = np.maximum(rows, 0)
+    listed_sigma = catalogue.position_sigma_at(any_rows, julian_year(time_ns))
+    rejections = _rejections(columns, directions_s, rows, catalogue)
     kept = np.flatnonzero([rejection is None for rejection in rejections])
     listed = columns.hip != 0
     exposure = StarExposure(
@@ -122,8 +125,8 @@ def star_exposure(
         hip=columns.hip[kept],
         directions_s=directions_s[kept],
         sigma=direction_sigma[kept],
-        positions=_positions(listed, entries.positions, given, kept),
-        position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
+        positions=_positions(listed, catalogue.at_j2000[any_rows], given, kept),
+        position_sigma=np.where(listed, listed_sigma, _GIVEN_DIRECTION_SIGMA)[kept],
         magnitude=columns.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
         masks=sensor.masks,
@@ -151,12 +154,12 @@ def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumn
 
 
 def _rejections(
-    columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
+    columns: _StarColumns, directions_s: FloatArray, rows: NDArray[np.int64], catalogue: StarCatalogue
 ) -> list[Rejection | None]:
     """Return the rejection of each star; None for a usable star."""
     first_pixels: dict[Hashable, list[float]] = {}
     measured = columns.pixels, directions_s[:, 0], columns.sigma_px
-    identity = columns.hip, entries.rows, columns.right_ascension, columns.declination
+    identity = columns.hip, rows, columns.right_ascension, columns.declination
     return [
         _measurement_rejection(pixel, forward, sigma_px)
         or _identity_rejection(hip, row, right_ascension, declination, catalogue)

@@ -81,32 +81,6 @@ class StarCatalogue:
         """
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
 
-    def entries(self, hip: NDArray[np.int64], time_ns: int) -> "CatalogueEntries":
-        """Return rows and J2000.0 positions of stars, with the standard deviations of the positions at a time.
-
-        Args:
-            hip: HIP numbers, shape (k,).
-            time_ns: time for which the standard deviations are computed.
-        """
-        rows = self.rows(hip)
-        listed = np.maximum(rows, 0)
-        return CatalogueEntries(rows, self.position_sigma_at(listed, julian_year(time_ns)), self.at_j2000[listed])
-
-
-@dataclass(frozen=True)
-class CatalogueEntries:
-    """Catalogue data of the stars of one exposure.
-
-    Attributes:
-        rows: rows in the catalogue, shape (k,); UNKNOWN for a star that is not listed.
-        sigma: standard deviation of the position, rad per axis, shape (k,); meaningless if the row is UNKNOWN.
-        positions: positions at J2000.0, shape (k,); meaningless if the row is UNKNOWN.
-    """
-
-    rows: NDArray[np.int64]
-    sigma: FloatArray
-    positions: StarPositions
-
 
 def julian_year(time_ns: int) -> float:
     """Return the Julian year of a time; 2000.0 is 2000-01-01 12:00 UTC (UTC is used in place of TT)."""

@@ -36,62 +36,6 @@ WRONG_IDENTITY_RATIO = 0.01
 """Assumed ratio of wrong identities in the messages of sensors; a wrong identity may be any other star."""
 
 
-def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
-    """True if the expected number of false matches of every single star is at most :data:`MAX_FALSE_MATCHES`.
-
-    A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True if
-    there are no stars, or if the stars have no false match densities.
-
-    Args:
-        stars: matched stars with their false match densities.
-        covariance_n: covariance of the prior's error, rad², shape (3, 3).
-    """
-    if stars.false_match_density is None or not len(stars):
-        return True
-    variance = 0.5 * float(np.trace(covariance_n)) + float(np.max(stars.max_sigma)) ** 2
-    return float(np.max(stars.false_match_density)) * gate_area(variance) <= MAX_FALSE_MATCHES
-
-
-def expected_false_matches(
-    stars: MatchedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
-) -> float:
-    """Return an upper bound of the expected number of false sets with as many stars as the members.
-
-    Args:
-        stars: matched stars with their false match densities.
-        members: True for the consistent stars, shape (k,).
-        basis: two unit vectors perpendicular to each star's direction in the horizon frame, shape (k, 2, 3).
-        covariance_n: covariance of the prior's error, rad², shape (3, 3).
-    """
-    assert stars.false_match_density is not None
-    expected, remaining_covariance_n = 1.0, covariance_n
-    for row in np.flatnonzero(members).tolist():
-        turned = basis[row] @ skew(stars.reference_n[row])
-        cross = turned @ remaining_covariance_n
-        gate = cross @ turned.T + stars.max_sigma[row] ** 2 * np.eye(2)
-        expected *= float(stars.false_match_density[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
-        # Each further star would decrease the expected number, so this upper bound suffices.
-        if expected <= MAX_FALSE_MATCHES:
-            break
-        remaining_covariance_n = remaining_covariance_n - cross.T @ np.linalg.solve(gate, cross)
-    return expected
-
-
-def gate_area(variance: float) -> float:
-    """Return the solid angle of a gate, at most 4π, steradian.
-
-    Args:
-        variance: square root of the determinant of the gate's covariance, rad².
-    """
-    return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
-
-
-def ambiguous_identity_rejection(expected: float) -> Rejection:
-    """Return the rejection of stars whose expected number of false sets is too large."""
-    text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MAX_FALSE_MATCHES:g}"
-    return Rejection(Reason.UNIDENTIFIED, text)
-
-
 MEMBER_GATE = 16.0
 """Gate of a trial's members, Mahalanobis² (two degrees of freedom)."""
 
@@ -150,19 +94,6 @@ class StarPrior:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """The stars that are consistent with one possible attitude.
-
-    Attributes:
-        members: True for each of these stars, shape (k,).
-        count: number of these stars.
-    """
-
-    members: BoolArray
-    count: int
-
-
-@dataclass(frozen=True)
 class StarSelection:
     """The selected stars.
 
@@ -201,6 +132,62 @@ def select_stars(
     return StarSelection(members)
 
 
+def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
+    """True if the expected number of false matches of every single star is at most :data:`MAX_FALSE_MATCHES`.
+
+    A set of several stars has fewer false matches, so a larger set needs no further test. The result is also True if
+    there are no stars, or if the stars have no false match densities.
+
+    Args:
+        stars: matched stars with their false match densities.
+        covariance_n: covariance of the prior's error, rad², shape (3, 3).
+    """
+    if stars.false_match_density is None or not len(stars):
+        return True
+    variance = 0.5 * float(np.trace(covariance_n)) + float(np.max(stars.max_sigma)) ** 2
+    return float(np.max(stars.false_match_density)) * gate_area(variance) <= MAX_FALSE_MATCHES
+
+
+def expected_false_matches(
+    stars: MatchedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
+) -> float:
+    """Return an upper bound of the expected number of false sets with as many stars as the members.
+
+    Args:
+        stars: matched stars with their false match densities.
+        members: True for the consistent stars, shape (k,).
+        basis: two unit vectors perpendicular to each star's direction in the horizon frame, shape (k, 2, 3).
+        covariance_n: covariance of the prior's error, rad², shape (3, 3).
+    """
+    assert stars.false_match_density is not None
+    expected, remaining_covariance_n = 1.0, covariance_n
+    for row in np.flatnonzero(members).tolist():
+        turned = basis[row] @ skew(stars.reference_n[row])
+        cross = turned @ remaining_covariance_n
+        gate = cross @ turned.T + stars.max_sigma[row] ** 2 * np.eye(2)
+        expected *= float(stars.false_match_density[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
+        # Each further star would decrease the expected number, so this upper bound suffices.
+        if expected <= MAX_FALSE_MATCHES:
+            break
+        remaining_covariance_n = remaining_covariance_n - cross.T @ np.linalg.solve(gate, cross)
+    return expected
+
+
+def gate_area(variance: float) -> float:
+    """Return the solid angle of a gate, at most 4π, steradian.
+
+    Args:
+        variance: square root of the determinant of the gate's covariance, rad².
+    """
+    return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
+
+
+def ambiguous_identity_rejection(expected: float) -> Rejection:
+    """Return the rejection of stars whose expected number of false sets is too large."""
+    text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MAX_FALSE_MATCHES:g}"
+    return Rejection(Reason.UNIDENTIFIED, text)
+
+
 def _select_without_prior(stars: MatchedStars) -> StarSelection:
     everything = np.ones(len(stars), dtype=bool)
     if len(stars) < 2:
@@ -210,7 +197,7 @@ def _select_without_prior(stars: MatchedStars) -> StarSelection:
         return StarSelection(everything, whole)
     trials = _pair_trials(stars)
     for trial in trials[:_MAX_REFINED_TRIALS]:
-        members = _refine_without_prior(stars, trial.members)
+        members = _refine_without_prior(stars, trial)
         if members.any() and not _has_rival(trials, members, shared=2):
             refined = fit_attitude(stars, members)
             assert refined is not None
@@ -250,17 +237,20 @@ def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     return remaining
 
 
-def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
+def _has_rival(trials: BoolArray, members: BoolArray, shared: int) -> bool:
     """True if a trial of another attitude has at least as many members.
 
     A trial that has ``shared`` or more stars in common with the members has their attitude, so it is not a rival.
     """
-    count = np.count_nonzero(members)
-    return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
+    large = trials[np.count_nonzero(trials, axis=-1) >= np.count_nonzero(members)]
+    return bool(np.any(np.count_nonzero(large & members, axis=-1) < shared))
 
 
-def _pair_trials(stars: MatchedStars) -> list[Trial]:
-    """Return the trials of all pairs of stars whose measured angle fits the sky, sorted by decreasing member count."""
+def _pair_trials(stars: MatchedStars) -> BoolArray:
+    """Return the members of the trials of all pairs of stars whose measured angle fits the sky, shape (t, k).
+
+    The trials are sorted by decreasing number of members.
+    """
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
@@ -317,7 +307,7 @@ def _select_with_prior(stars: MatchedStars, prior: StarPrior, initial_nb: FloatA
         return everything
     trials = _single_trials(stars, fit)
     for trial in trials[:_MAX_REFINED_TRIALS]:
-        members = _refine_with_prior(fit, trial.members)
+        members = _refine_with_prior(fit, trial)
         if members.any() and not _has_rival(trials, members, shared=1):
             return _drop_ambiguous(fit, members)
     return ~everything
@@ -342,8 +332,8 @@ def _drop_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) -> 
     return remaining
 
 
-def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
-    """Return the trials of single stars, sorted by decreasing member count.
+def _single_trials(stars: MatchedStars, fit: StarFit) -> BoolArray:
+    """Return the members of the trials of single stars, shape (t, k), sorted by decreasing number of members.
 
     Each star corrects the prior; the other stars are compared with the corrected prior.
     """
@@ -365,10 +355,9 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
     return _sort_by_size(members, np.zeros(len(possible)))
 
 
-def _sort_by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
+def _sort_by_size(members: BoolArray, spread: FloatArray) -> BoolArray:
     """Sort trials by decreasing number of members, and trials of equal number by increasing spread of the attitude."""
-    counts = np.count_nonzero(members, axis=-1)
-    return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
+    return members[np.lexsort((spread, -np.count_nonzero(members, axis=-1)))]
 
 
 def mahalanobis_squared(residual: FloatArray, covariance: FloatArray) -> FloatArray:
