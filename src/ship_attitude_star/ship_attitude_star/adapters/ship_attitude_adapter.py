@@ -1,7 +1,7 @@
 """Adapter of the node ``ship_attitude``: input topics, output messages and diagnostics."""
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -157,8 +157,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
-        """Return the alignment of the current estimator, for the alignment file; None without any alignment."""
-        core: ShipAttitudeCore = self.core
+        core: ShipAttitudeCore = self.core  # a second estimator may have replaced the first
         return core.alignment_to_save()
 
     def _attitude_messages(self, estimate: AttitudeEstimate) -> list[OutputMessage]:
@@ -187,10 +186,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         published = super().report_outcome(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
-                smoothed = [
-                    smoothed_message(self.factory, estimate, self.config.frames)
-                    for estimate in self.core.take_smoothed()
-                ]
+                smoothed = self._smoothed_messages(self.core.take_smoothed())
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
                 self.core.restart_smoothing()
@@ -275,11 +271,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; returns the remaining smoothed attitudes."""
-        if not isinstance(self.core, SmoothingCore):
-            return []
-        return [
-            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smooth_remaining()
-        ]
+        return self._smoothed_messages(self.core.smooth_remaining()) if isinstance(self.core, SmoothingCore) else []
+
+    def _smoothed_messages(self, estimates: Iterable[AttitudeEstimate]) -> list[OutputMessage]:
+        return [smoothed_message(self.factory, estimate, self.config.frames) for estimate in estimates]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
         """Return the observability diagnostics with a recommended turn, computed once a minute; empty while INVALID."""
@@ -290,13 +285,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             self._last_observability is None
             or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS
         ):
-            # Without stars a turn does not improve the attitude.
-            has_stars = latest.status is Status.VALID
             observability = observability_of(self.core.filter, self.config, state)
-            recommended = recommended_manoeuvre(
-                self.core.filter, state, latest.rotation_nd, self.core.recent_sources if has_stars else {}
-            )
-            turn = manoeuvre_text(recommended)
+            # Without stars a turn does not improve the attitude.
+            sources = self.core.recent_sources if latest.status is Status.VALID else {}
+            turn = manoeuvre_text(recommended_manoeuvre(self.core.filter, state, latest.rotation_nd, sources))
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.sigma_ratios.items()}
             values |= {
                 "unobservable combinations": "; ".join(observability.unobservable_combinations) or "nothing",
@@ -386,9 +378,8 @@ def attitude_status(
     """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
-        return DiagnosticStatus(
-            "attitude", Level.WARN, "; ".join(["no INS sample yet", *missing_configuration]), values
-        )
+        text = "; ".join(["no INS sample yet", *missing_configuration])
+        return DiagnosticStatus("attitude", Level.WARN, text, values)
     level, text = _STATUS_TEXTS[estimate.status]
     if estimate.status is Status.DEGRADED and missing_configuration and "ins" in estimate.sources:
         text += f": {'; '.join(missing_configuration)}"

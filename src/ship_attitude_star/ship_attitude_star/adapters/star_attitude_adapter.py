@@ -107,11 +107,15 @@ class StarAttitudeAdapter(NodeAdapter):
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that process them."""
+
+        def process_stars(read: ReadExposure, waiting_ns: int) -> StarOutcome:
+            return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
+
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, is_configured=True)
             exposing = ExposingSensor(id_, sensor.frame_id, self._cameras[id_], sensor.camera, sensor.sensor_masks)
             read_stars = functools.partial(read_exposure, sensor=exposing, catalogue=self._sky_model.catalogue)
-            yield Feed(topic, f"star.{id_}", read_stars, self._process_stars, has_decision=True)
+            yield Feed(topic, f"star.{id_}", read_stars, process_stars, has_decision=True)
         yield from surroundings_feeds(
             config.sky, ignore_time(lambda reading: StarOutcome(core.add_surroundings(reading)))
         )
@@ -120,10 +124,6 @@ class StarAttitudeAdapter(NodeAdapter):
             read_ins = functools.partial(ins_sample, config=config.ins)
             block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
             yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), block=block, stream_quantity=ATTITUDE)
-
-    def _process_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
-        core: StarCore = self.core
-        return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
 
     # -- results of the core --------------------------------------------------------------------------------
 
@@ -222,11 +222,8 @@ def _topic(source: str) -> str:
 
 def star_horizon_attitude(factory: MessageFactory, solved: AttitudeSolution, frame_id: str) -> Any:
     """Return ship_msgs/StarHorizonAttitude of a solution; angles and covariances are NaN without an attitude."""
-    solution = solved.solution
-    covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
-    star_count = solution.star_count
+    solution, covariance_n = solved.solution, solved.solution.covariance_n
     azimuth, elevation, roll = angles_from_rotation(solution.rotation_nb).tolist()
-    covariance = angle_covariance(covariance_n, azimuth, elevation)
     return factory.make(
         "ship_msgs/msg/StarHorizonAttitude",
         header={"stamp": solved.time_ns, "frame_id": frame_id},
@@ -234,12 +231,12 @@ def star_horizon_attitude(factory: MessageFactory, solved: AttitudeSolution, fra
         azimuth=azimuth,
         elevation=elevation,
         roll=roll,
-        covariance=covariance.ravel(),
+        covariance=angle_covariance(covariance_n, azimuth, elevation).ravel(),
         rotation_covariance=enu_covariance(covariance_n).ravel(),
-        noise_covariance=enu_covariance(noise_n).ravel(),
-        star_count=star_count,
+        noise_covariance=enu_covariance(solution.noise_n).ravel(),
+        star_count=solution.star_count,
         rejected_count=len(solved.rejected_stars),
-        residual_rms=residual_rms,
+        residual_rms=solution.residual_rms,
         status=int(solution.status),
     )
 

@@ -143,9 +143,7 @@ class GaussMarkovIns:
 
     def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`."""
-        given = np.zeros(2) if here.given_deflection is None else here.given_deflection
-        by_deflection = _states_by_deflection(here)
-        return by_deflection @ given, by_deflection @ here.covariance @ by_deflection.T
+        return initial_deflection(here)
 
     def propagation(
         self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
@@ -184,6 +182,13 @@ class GaussMarkovIns:
             by_deflection @ change.shift,
             by_deflection @ change.noise @ by_deflection.T,
         )
+
+
+def initial_deflection(here: LocalVertical) -> tuple[FloatArray, FloatArray]:
+    """Return mean, shape (5,), and covariance, shape (5, 5), of attitude error and deflection by the deflection."""
+    given = np.zeros(2) if here.given_deflection is None else here.given_deflection
+    by_deflection = _states_by_deflection(here)
+    return by_deflection @ given, by_deflection @ here.covariance @ by_deflection.T
 
 
 def _states_by_deflection(here: LocalVertical) -> FloatArray:

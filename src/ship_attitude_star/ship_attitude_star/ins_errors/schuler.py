@@ -33,7 +33,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
+from ship_attitude_star.ins_errors.process import (
+    ATTITUDE_ERROR,
+    DEFLECTION,
+    Propagation,
+    Vertical,
+    deflection_change,
+    initial_deflection,
+)
 from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
 from ship_estimation.kalman.kalman_filter import exceeds_model
 from ship_estimation.parameters.ship_devices import SchulerConfig
@@ -92,9 +99,7 @@ class SchulerIns:
         """See :class:`InsProcess`; initially, the INS is levelled by gravity."""
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         if self._length_m is not None:
-            by_deflection = np.vstack([here.deflection_jacobian, np.eye(2)])
-            mean[:5] = by_deflection @ (np.zeros(2) if here.given_deflection is None else here.given_deflection)
-            covariance[:5, :5] = by_deflection @ here.covariance @ by_deflection.T
+            mean[:5], covariance[:5, :5] = initial_deflection(here)
         return mean, covariance
 
     def propagation(

@@ -232,20 +232,15 @@ def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mappi
         inconsistent: residuals of the sources that disagree with the INS, ``source`` included.
     """
     others = [other for other in inconsistent if other != source]
-    if consistent and not others:
-        return f"only {source} differs, {_consistent_sources_text(consistent)} with the INS"
+    against = f"{', '.join(sorted(inconsistent))} disagree with the INS"
     if consistent:
-        against = f"{', '.join(sorted(inconsistent))} disagree with the INS"
-        return f"{against}, {_consistent_sources_text(consistent)} with the INS"
+        agree = f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'} with the INS"
+        return f"{against}, {agree}" if others else f"only {source} differs, {agree}"
     if not others:
         return "no other source shows which of the two is faulty"
     if all(_is_same_residual(first, second) for first, second in combinations(inconsistent.values(), 2)):
-        return f"only the INS differs, {', '.join(sorted(inconsistent))} disagree with the INS equally"
-    return f"{', '.join(sorted(inconsistent))} disagree with the INS and with each other"
-
-
-def _consistent_sources_text(consistent: Sequence[str]) -> str:
-    return f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'}"
+        return f"only the INS differs, {against} equally"
+    return f"{against} and with each other"
 
 
 def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool:

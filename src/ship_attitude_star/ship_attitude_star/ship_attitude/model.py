@@ -82,6 +82,21 @@ SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
 _IDENTITY = np.eye(3)
 
+INS = "ins"
+
+ALL_STARS = "all_stars"
+"""Name of the hypothesis of an error that all star sensors share."""
+
+MIN_SOURCES_FOR_PAIRS = 3
+"""Minimum number of sources besides the INS for subfilters without two sources.
+
+A subfilter without two of three sources uses the third source and the INS, which check each other. A subfilter without
+one of three sources and the INS uses the two other sources.
+"""
+
+_MIN_FOR_CROSS_CHECK = 2
+"""Minimum number of sources besides the INS that check one another."""
+
 
 @dataclass(frozen=True)
 class RotationChain:
@@ -191,23 +206,6 @@ def _ins_blocks(ins: InsConfig) -> list[StateBlock]:
     ]
 
 
-INS = "ins"
-
-ALL_STARS = "all_stars"
-"""Name of the hypothesis of an error that all star sensors share."""
-
-MIN_SOURCES_FOR_PAIRS = 3
-"""Minimum number of sources besides the INS for subfilters without two sources.
-
-A subfilter without two of three sources uses the third source and the INS, which check each other. A subfilter without
-one of three sources and the INS uses the two other sources.
-"""
-
-
-_MIN_FOR_CROSS_CHECK = 2
-"""Minimum number of sources besides the INS that check one another."""
-
-
 class RelevantHypotheses(NamedTuple):
     """Fault hypotheses of an attitude that is computed from some of the sources.
 
@@ -301,16 +299,14 @@ class ShipSubfilters(SubfilterTable):
         """
         key = sources, tuple(excluded)
         if key not in self._relevant:
-            self._relevant[key] = self._find_relevant(sources, excluded)
+            others = [name for name in sources if name in self.sources and name not in excluded]
+            hypotheses = [row - 1 for row in self.single_subfilters if self.names[row - 1] not in excluded]
+            hypotheses += [row - 1 for row in self.relevant_pairs(others, excluded)]
+            names = tuple(self.names[number] for number in hypotheses)
+            is_cross_checked = len(others) >= _MIN_FOR_CROSS_CHECK and not self.stars.isdisjoint(others)
+            indices = np.array(hypotheses, dtype=np.intp)
+            self._relevant[key] = RelevantHypotheses(indices, names, is_cross_checked)
         return self._relevant[key]
-
-    def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> RelevantHypotheses:
-        others = [name for name in sources if name in self.sources and name not in excluded]
-        hypotheses = [row - 1 for row in self.single_subfilters if self.names[row - 1] not in excluded]
-        hypotheses += [row - 1 for row in self.relevant_pairs(others, excluded)]
-        names = tuple(self.names[number] for number in hypotheses)
-        is_cross_checked = len(others) >= _MIN_FOR_CROSS_CHECK and not self.stars.isdisjoint(others)
-        return RelevantHypotheses(np.array(hypotheses, dtype=np.intp), names, is_cross_checked)
 
     def _check_count(self, most: int) -> None:
         if self.count > most:

@@ -153,14 +153,11 @@ def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:
     return {"heading": float(np.sqrt(up)), "tilt": float(np.sqrt(0.5 * (north + east)))}
 
 
-class _ConstantVertical:
-    """A vertical that is constant in time."""
-
-    def __init__(self, here: LocalVertical) -> None:
-        self._here = here
+class _ConstantVertical(NamedTuple):
+    here: LocalVertical
 
     def at(self, time_ns: int) -> LocalVertical:
-        return self._here
+        return self.here
 
 
 class _CovarianceTransition(NamedTuple):

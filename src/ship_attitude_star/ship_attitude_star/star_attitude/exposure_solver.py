@@ -233,8 +233,8 @@ def _stars_in_deck(
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
         time_transfer_b=_turn_errors_in_deck(group, turn_covariance_d),
-        false_match_density=_joined([s.false_match_density for s in stars], stars),
-        pixel_sigma=_joined([s.pixel_sigma for s in stars], stars),
+        false_match_density=_values_of_all([s.false_match_density for s in stars], stars),
+        pixel_sigma=_values_of_all([s.pixel_sigma for s in stars], stars),
         field_b=_field_in_deck(stars, group),
         field_sources=tuple(source for s in stars for source in s.field_sources),
     )
@@ -266,7 +266,7 @@ def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposur
     )
 
 
-def _joined(values: Sequence[FloatArray | None], stars: Sequence[MatchedStars]) -> FloatArray | None:
+def _values_of_all(values: Sequence[FloatArray | None], stars: Sequence[MatchedStars]) -> FloatArray | None:
     """Return one value per star, shape (k,), 0 for the stars of a sensor without values; None without any value."""
     if all(value is None for value in values):
         return None

@@ -237,8 +237,8 @@ class InsMotion:
         Constant INS errors do not affect the rotation. If the rotation is not known, the stars are not changed.
 
         Returns:
-            The exposure, and two variances of a rotation of all directions, each axis, rad²: due to INS noise, and an
-            upper bound for the interpolation error, or the variance of the unmeasured rotation without INS samples.
+            The exposure, and two variances of a rotation of all directions, each axis, rad². The first is due to INS
+            noise. The second is an upper bound for the interpolation error, or due to the unmeasured rotation.
         """
         length = exposure.length
         if length is None:

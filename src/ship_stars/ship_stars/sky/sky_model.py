@@ -35,7 +35,7 @@ UTC = "utc"
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position", UTC)
 """Error source of each column of :attr:`ApparentStars.shared_n`; the last is absent if UTC is taken as exact.
 
-The ship's position has two columns, one for each of the independent errors of :func:`_sky_rotations`.
+The ship's position has two columns, one for each of the independent errors of :meth:`LocalSky.sky_rotations`.
 """
 
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
@@ -176,10 +176,30 @@ class LocalSky:
         return np.asarray(aberrated_n - direction_n)
 
     def sky_rotations(self) -> FloatArray:
-        """Return the rotation vectors of the sky by one sigma of SHARED_TERMS except refraction, rad, shape (n, 3)."""
-        return _sky_rotations(
-            self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s
-        )
+        """Return the rotation vectors of the sky by one sigma of SHARED_TERMS except refraction, rad, shape (n, 3).
+
+        If the ship is farther north than assumed, the sky is rotated about East. If she is farther east, the sky is
+        rotated about the Earth's axis. 31 m correspond to 1″. The position has two independent errors, which may be two
+        states of a filter: the error north with the correlated part of the error east, and the rest of the error east.
+        """
+        position, ut1_sigma_s = self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s)
+        covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
+        radius_north_m, radius_east_m = map(float, position.horizon_radii_m)
+        north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
+        east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
+        east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
+        # With a change of position the horizon rotates by +latitude about -East and by +longitude about the pole.
+        # Relative to the horizon the sky rotates in the opposite sense.
+        by_north, by_east = north_m / radius_north_m, east_m / radius_east_m
+        with_north, tangent = east_with_north_m / radius_east_m, math.tan(latitude)
+        turns = [
+            _polar_rotation_vector(EARTH_ROTATION_RATE * ut1_sigma_s, latitude),
+            [-with_north, -with_north * tangent, by_north],
+            [-by_east, -by_east * tangent, 0.0],
+        ]
+        if self.utc_sigma_s > 0.0:
+            turns.append(_polar_rotation_vector(EARTH_ROTATION_RATE * self.utc_sigma_s, latitude))
+        return np.array(turns)
 
 
 class SkyModel:
@@ -266,41 +286,9 @@ def load_sky_model(config: SkyConfig) -> SkyModel:
     return SkyModel(config, earth_orientation_table(), hipparcos())
 
 
-def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
-    """Return the rotation vectors of the sky in the horizon frame by one sigma of UT1, position and UTC, rad, (n, 3).
-
-    If the ship is farther north than assumed, the sky is rotated about East. If she is farther east, the sky is rotated
-    about the Earth's axis. 31 m correspond to 1″. The position has two independent errors, which may be two states of
-    a filter: the error north with the correlated part of the error east, and the rest of the error east.
-    """
-    covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
-    radius_north_m, radius_east_m = map(float, position.horizon_radii_m)
-    north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
-    east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
-    east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
-    # With a change of position the horizon rotates by +latitude about -East and by +longitude about the pole. Relative
-    # to the horizon the sky rotates in the opposite sense.
-    by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
-    tangent = math.tan(latitude)
-    turns = [
-        _polar_rotation_vector(EARTH_ROTATION_RATE * ut1_sigma_s, latitude),
-        [-with_north, -with_north * tangent, by_north],
-        [-by_east, -by_east * tangent, 0.0],
-    ]
-    if utc_sigma_s > 0.0:
-        turns.append(_polar_rotation_vector(EARTH_ROTATION_RATE * utc_sigma_s, latitude))
-    return np.array(turns)
-
-
 def _polar_rotation_vector(turn: float, latitude: float) -> list[float]:
     """Return the rotation vector (North, Up, East) of a rotation about the Earth's axis, rad."""
     return [turn * math.cos(latitude), turn * math.sin(latitude), 0.0]
-
-
-SOURCE_REFRACTION = "refraction"
-SOURCE_EARTH_ROTATION = "earth_rotation"
-SOURCE_POSITION = "ship_position"
-SOURCE_UTC = UTC
 
 
 def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
@@ -310,12 +298,12 @@ def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     days, and so is the error of an unsynchronised clock.
     """
     blocks = [
-        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
-        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
-        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
+        block("sky.refraction", [1.0], "refraction", time_s=sky.refraction_time_s),
+        block("sky.earth_rotation", [1.0], "earth_rotation"),
+        block("sky.position", [1.0, 1.0], "ship_position", time_s=sky.position_time_s),
     ]
     if sky.utc_sigma_s > 0.0:
-        blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
+        blocks.append(block("sky.utc", [1.0], UTC))
     return blocks
 
 

@@ -369,14 +369,13 @@ def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejec
         fitting: number of catalogue stars within the gate.
         masks: names of the masks that cover the detection; empty if there is none.
     """
+    text = "no catalogue star in the field"
     if masks:
-        return Rejection(Reason.UNIDENTIFIED, f"not a star: inside the mask {masks}")
-    if fitting:
+        text = f"not a star: inside the mask {masks}"
+    elif fitting:
         text = f"ambiguous: {fitting} catalogue stars within the gate, or one matched by two detections"
-        return Rejection(Reason.UNIDENTIFIED, text)
-    if not np.isfinite(nearest):
-        return Rejection(Reason.UNIDENTIFIED, "no catalogue star in the field")
-    text = f'no catalogue star within the gate, the nearest is {nearest / ARCSEC:.0f}" away'
+    elif np.isfinite(nearest):
+        text = f'no catalogue star within the gate, the nearest is {nearest / ARCSEC:.0f}" away'
     return Rejection(Reason.UNIDENTIFIED, text)
 
 
