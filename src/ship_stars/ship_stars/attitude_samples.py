@@ -17,6 +17,21 @@ from ship_estimation.time_order.outcome import Measurement, MeasurementDecision,
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.rotations import FloatArray
 
+StampArray = NDArray[np.int64]
+"""Array of stamps, ns."""
+
+SHARED_BY_SKY = "sky"
+"""Name of the errors that all sensors share through the sky model: refraction, UT1, position and UTC."""
+
+SHARED_BY_MESSAGES = "message"
+"""Name of an error that is common to several messages; only its covariance is known."""
+
+SHARED_BY_GRAVITY = "gravity"
+"""Name of the deflection of the vertical, which all systems levelled by gravity share."""
+
+ATTITUDE_COMPONENTS = ("forward", "up", "right")
+"""Components of the residual of an attitude: rotation vector in the device frame."""
+
 
 @dataclass(frozen=True)
 class FieldOfView:
@@ -131,25 +146,11 @@ class DeflectionReading:
         return self.deflection.tobytes() + (b"" if self.covariance is None else self.covariance.tobytes())
 
 
-StampArray = NDArray[np.int64]
-"""Array of stamps, ns."""
-
-
 class Horizon(enum.IntEnum):
     """Horizon of an attitude: geodetic (Up is the ellipsoid normal) or of local gravity (Up is opposite to gravity)."""
 
     GEODETIC = 0
     GRAVITY = 1
-
-
-SHARED_BY_SKY = "sky"
-"""Name of the errors that all sensors share through the sky model: refraction, UT1, position and UTC."""
-
-SHARED_BY_MESSAGES = "message"
-"""Name of an error that is common to several messages; only its covariance is known."""
-
-SHARED_BY_GRAVITY = "gravity"
-"""Name of the deflection of the vertical, which all systems levelled by gravity share."""
 
 
 @dataclass(frozen=True)
@@ -210,10 +211,6 @@ class SolvedAttitude(AttitudeMeasurement):
     """
 
     has_noise_covariance: bool = True
-
-
-ATTITUDE_COMPONENTS = ("forward", "up", "right")
-"""Components of the residual of an attitude: rotation vector in the device frame."""
 
 
 @dataclass(frozen=True)

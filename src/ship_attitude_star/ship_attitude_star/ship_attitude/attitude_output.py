@@ -31,6 +31,9 @@ from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from ship_stars.solution.exposure import StarExposure, visible_stars
 from ship_stars.solution.solution import SolutionStatus, solve_stars
 
+ShipEstimator = TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
+"""Time-ordered estimator of the ship filter."""
+
 
 def attitude_from_star(
     measurement: Measurement, sky_model: SkyModel | None, unmeasured_acceleration: float
@@ -134,10 +137,6 @@ def invalid_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text:
         state=state,
         text=text,
     )
-
-
-ShipEstimator = TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
-"""Time-ordered estimator of the ship filter."""
 
 
 class AttitudeOutput:

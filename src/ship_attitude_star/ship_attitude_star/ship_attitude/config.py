@@ -75,6 +75,11 @@ _MIN_BASELINE_M = 0.3
 
 _SQRT_HOUR = 60.0
 
+GEODETIC, GRAVITY = "geodetic", "gravity"
+
+_SOLVED_INPUTS = ("solution", "horizon_attitude")
+"""Inputs that are attitudes relative to the horizon."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class InsConfig(InsErrorModel, InsCorrelationTimes, StarInsConfig):
@@ -289,12 +294,6 @@ class ShipSensors(StarSensorsById):
         if self.ship_baseline.is_aboard:
             found.append(self.ship_baseline.device(self.ins))
         return {device.name: device for device in found}
-
-
-GEODETIC, GRAVITY = "geodetic", "gravity"
-
-_SOLVED_INPUTS = ("solution", "horizon_attitude")
-"""Inputs that are attitudes relative to the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,6 +37,12 @@ from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizo
 QUANTITIES = ("heading", "pitch", "roll")
 """Quantities with a protection level."""
 
+_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
+"""Indices of the states that correct an INS attitude: the correlated error (north, up, east) and the time offset."""
+
+_AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
+"""Stamp later than every sample."""
+
 
 def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
     """Return protection levels, solution separations and exclusions of an attitude.
@@ -93,13 +99,6 @@ def relative_to_horizon(
     indices, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
     to_own[indices[:3, None], indices] = own_error_matrix(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T
-
-
-_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Indices of the states that correct an INS attitude: the correlated error (north, up, east) and the time offset."""
-
-_AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
-"""Stamp later than every sample."""
 
 
 class CorrectedIns:

@@ -34,6 +34,20 @@ _AXES = {
     "time_offset": ("time_offset",),
 }
 
+_TURNS_DEG = (45.0, 90.0, 180.0)
+
+_DURATION_S = 900.0
+"""Predicted time on one heading, s."""
+
+_MISSED_PERIODS = 3.0
+"""Timeout of a source, in its measurement periods."""
+
+_RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
+"""Rate of turn, °/s, and size of the steps in which a turn is predicted, °. The INS error varies during the turn."""
+
+_RECOMMENDED_RATIO = 0.9
+"""A turn is recommended if the standard deviation after the turn, divided by that on course, is at most this ratio."""
+
 
 class Observability(NamedTuple):
     """Observability of the states.
@@ -75,20 +89,6 @@ def _prior_sigmas(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, 
     if config.models_deflection:
         found["gravity.deflection"] = np.full(2, config.gravity.unknown_sigma_arcsec * ARCSEC)
     return found | {"ins.attitude": blocks["ins.attitude"].sigma}
-
-
-_TURNS_DEG = (45.0, 90.0, 180.0)
-_DURATION_S = 900.0
-"""Predicted time on one heading, s."""
-
-_MISSED_PERIODS = 3.0
-"""Timeout of a source, in its measurement periods."""
-
-_RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
-"""Rate of turn, °/s, and size of the steps in which a turn is predicted, °. The INS error varies during the turn."""
-
-_RECOMMENDED_RATIO = 0.9
-"""A turn is recommended if the standard deviation after the turn, divided by that on course, is at most this ratio."""
 
 
 class RecommendedTurn(NamedTuple):

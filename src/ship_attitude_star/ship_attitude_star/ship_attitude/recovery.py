@@ -28,6 +28,9 @@ from ship_stars.sky.sky_model import SkyModel
 _OBSERVABLE_RAD = 0.02
 """A measurement observes the rotation of its device if its sigma about every axis is at most this, rad."""
 
+_CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
+"""Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
+
 
 def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterState) -> FilterState:
     """Return a start state with the stored errors and without later measurements and faults.
@@ -79,10 +82,6 @@ def _growth_per_second(filter_: ShipFilter, state: FilterState) -> np.ndarray:
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)
     before = with_changes(state, time_ns=before_ns, vertical=here, stack=np.zeros_like(state.stack))
     return filter_.propagate(before, state.time_ns).covariance
-
-
-_CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
-"""Endings of the names of the states that are compared with a stored state; all other states vary within minutes."""
 
 
 class ShipConsistency(Consistency[FilterState, InsJump]):

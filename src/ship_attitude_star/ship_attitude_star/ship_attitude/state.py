@@ -27,6 +27,21 @@ from ship_stars.attitude_samples import AttitudeDecision
 from ship_stars.camera.errors import PixelDwell
 from ship_stars.sky.sky_model import EARTH_ROTATION_RATE
 
+NO_PIXEL_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
+"""Pixel dwells before any exposure."""
+
+_MIN_SIGMAS = 6.0
+"""Minimum rotation of the sky that stars can detect, in standard deviations of the propagated attitude."""
+
+_DECISIVE_LOG_RATIO = math.log(100.0)
+"""Decision threshold of the log-likelihood ratio."""
+
+_MAX_LOG_RATIO_OF_ONE, _MAX_LOG_RATIO = 5.0, 10.0
+"""Maximum log-likelihood ratio of one measurement, and of all measurements."""
+
+_MAX_CHI2, _RESIDUAL_RATIO = 16.0, 0.02
+"""Maximum sum of squares of a consistent rotation, and additional allowed deviation as a ratio to the sky rotation."""
+
 
 class SourceInnovation(NamedTuple):
     """Innovation of a source's measurement against the main filter, as a rotation of the device.
@@ -107,10 +122,6 @@ class RecentInnovations(NamedTuple):
     largest_sigmas: float
 
 
-NO_PIXEL_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
-"""Pixel dwells before any exposure."""
-
-
 @dataclass(frozen=True)
 class FilterState(FaultState):
     """State of h filters, the main filter first, then the subfilters.
@@ -188,19 +199,6 @@ class FilterState(FaultState):
         """Covariance of the main filter, shape (n, n)."""
         total: FloatArray = compiled_kalman.total(self.stack, len(self.stack) - len(self.means) + 1)
         return total
-
-
-_MIN_SIGMAS = 6.0
-"""Minimum rotation of the sky that stars can detect, in standard deviations of the propagated attitude."""
-
-_DECISIVE_LOG_RATIO = math.log(100.0)
-"""Decision threshold of the log-likelihood ratio."""
-
-_MAX_LOG_RATIO_OF_ONE, _MAX_LOG_RATIO = 5.0, 10.0
-"""Maximum log-likelihood ratio of one measurement, and of all measurements."""
-
-_MAX_CHI2, _RESIDUAL_RATIO = 16.0, 0.02
-"""Maximum sum of squares of a consistent rotation, and additional allowed deviation as a ratio to the sky rotation."""
 
 
 def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> FilterState:

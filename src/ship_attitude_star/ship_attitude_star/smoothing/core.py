@@ -33,6 +33,14 @@ from ship_geometry.tracks.attitude_track import InterpolatedAttitude, Propagated
 from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.sky_model import SkyModel
 
+_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
+"""Indices of attitude error and time offset in the output of :class:`InsErrorPredictor`."""
+
+_BATCH_SIZE = 1000
+"""Number of attitudes that are smoothed together at the end."""
+
+_NO_PARTS = np.empty((0, 3, 3))
+
 
 @dataclass(frozen=True)
 class TracedState(FilterState):
@@ -90,15 +98,6 @@ class TracedFilter(ShipFilter):
         both = GaussianEstimate(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()
         return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
-
-
-_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Indices of attitude error and time offset in the output of :class:`InsErrorPredictor`."""
-
-_BATCH_SIZE = 1000
-"""Number of attitudes that are smoothed together at the end."""
-
-_NO_PARTS = np.empty((0, 3, 3))
 
 
 class _RealTimeEstimate(NamedTuple):

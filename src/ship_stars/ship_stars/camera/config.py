@@ -34,6 +34,13 @@ JOINT = "joint"
 
 _FIELD_POINTS = 21
 
+_WALK_PER_SQRT_S = 0.1 / 60.0
+"""Random walk of the optics errors due to temperature, in sigmas per √s; it is 0.1 sigma in an hour.
+
+A focal length changes by 1e-5 per kelvin, and the temperature by some kelvin per night. The sigma of a surveyed focal
+length is 2e-4.
+"""
+
 
 class StarSensorsById:
     """Star sensors by id, which are parameters of both ``ship_attitude`` and ``star_attitude``.
@@ -215,14 +222,6 @@ class SensorWithCamera(MountedSensor, Protocol):
     @property
     def camera(self) -> CameraConfig:
         """Camera; only a sensor that measures single stars needs it."""
-
-
-_WALK_PER_SQRT_S = 0.1 / 60.0
-"""Random walk of the optics errors due to temperature, in sigmas per √s; it is 0.1 sigma in an hour.
-
-A focal length changes by 1e-5 per kelvin, and the temperature by some kelvin per night. The sigma of a surveyed focal
-length is 2e-4.
-"""
 
 
 def camera_blocks(name: str, camera: CameraConfig, has_focal_length: bool = True) -> list[StateBlock]:

@@ -46,6 +46,35 @@ OPTICS_MODES = 4
 SURVEYED_FOCAL_SIGMA = 2e-4
 """Relative standard deviation of a surveyed focal length."""
 
+SOURCE_FIELD, SOURCE_PIXEL = "field_spatial", "pixel_spatial"
+"""Names of the error sources in budgets."""
+
+_LENGTH = 1.5
+"""Correlation length of the map, in half sides of the detector."""
+
+_DEGREE = 3
+
+_TERMS = tuple((i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) if i + j)
+"""Degrees along u and v of the products of Legendre polynomials; the constant term is left out."""
+
+FIELD_MODES = 2 * len(_TERMS)
+"""Number of coefficients of both maps: one half for the error in u, the other half for the error in v."""
+
+_NODES = 20
+
+_DECORRELATION_PER_PIXEL = 2.0
+"""Decorrelation rate of a pixel's error along a path on the detector, per pixel."""
+
+_DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
+"""Distances that end a dwell.
+
+A dwell ends if the stars have moved since its start by more than the first distance (root mean square). A dwell also
+ends if most stars are farther than the second distance from all stars at its start.
+"""
+
+_MIN_INFORMATION_RATIO = 1e-3
+"""Minimum information of a further exposure on the same pixels, divided by the information of the first exposure."""
+
 
 @dataclass(frozen=True)
 class OpticsErrors:
@@ -86,34 +115,6 @@ class OpticsErrors:
         displacement_s[:, 0, 2] -= turn * up
         displacement_s[:, 1, 2] += turn * forward
         return displacement_s
-
-
-SOURCE_FIELD, SOURCE_PIXEL = "field_spatial", "pixel_spatial"
-"""Names of the error sources in budgets."""
-
-_LENGTH = 1.5
-"""Correlation length of the map, in half sides of the detector."""
-
-_DEGREE = 3
-_TERMS = tuple((i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) if i + j)
-"""Degrees along u and v of the products of Legendre polynomials; the constant term is left out."""
-
-FIELD_MODES = 2 * len(_TERMS)
-"""Number of coefficients of both maps: one half for the error in u, the other half for the error in v."""
-
-_NODES = 20
-_DECORRELATION_PER_PIXEL = 2.0
-"""Decorrelation rate of a pixel's error along a path on the detector, per pixel."""
-
-_DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
-"""Distances that end a dwell.
-
-A dwell ends if the stars have moved since its start by more than the first distance (root mean square). A dwell also
-ends if most stars are farther than the second distance from all stars at its start.
-"""
-
-_MIN_INFORMATION_RATIO = 1e-3
-"""Minimum information of a further exposure on the same pixels, divided by the information of the first exposure."""
 
 
 @dataclass(frozen=True)

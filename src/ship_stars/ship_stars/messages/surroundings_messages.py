@@ -25,6 +25,14 @@ _COVARIANCE_UNKNOWN = 0
 _MAX_POSITION_SIGMA_M = 1e5
 _MAX_HEIGHT_M = 20_000.0
 
+SURROUNDINGS = {
+    "gnss/fix": "sensor_msgs/msg/NavSatFix",
+    "met/pressure": "sensor_msgs/msg/FluidPressure",
+    "met/temperature": "sensor_msgs/msg/Temperature",
+    "met/humidity": "sensor_msgs/msg/RelativeHumidity",
+}
+"""Topics of position and air data, and their types; stars cannot be used without a position."""
+
 
 def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessage[SkyInput]:
     """Read ``gnss/fix``: position of the ship.
@@ -115,15 +123,6 @@ def _reading(
     # The humidity error is not used anywhere, so a message without variance needs no configured value.
     known = sigma is not None or quantity == "humidity"
     return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
-
-
-SURROUNDINGS = {
-    "gnss/fix": "sensor_msgs/msg/NavSatFix",
-    "met/pressure": "sensor_msgs/msg/FluidPressure",
-    "met/temperature": "sensor_msgs/msg/Temperature",
-    "met/humidity": "sensor_msgs/msg/RelativeHumidity",
-}
-"""Topics of position and air data, and their types; stars cannot be used without a position."""
 
 
 def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMessage[SkyInput]]:

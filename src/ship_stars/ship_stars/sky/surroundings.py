@@ -31,6 +31,9 @@ MAX_TEMPERATURE_STEP_K = 5.0
 MAX_TEMPERATURE_RATE_K_PER_H = 40.0
 """Maximum rate of temperature, as in a thunderstorm: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21)."""
 
+_MAX_CACHED_RESULTS = 256
+"""Number of cached results; exposures that are applied again need up to 28 results per second of the last 2 s."""
+
 
 @dataclass(frozen=True)
 class Air:
@@ -115,10 +118,6 @@ class _Quantity:
         reading, age_ns = self.readings.values[index], time_ns - self.readings.times[index]
         growth = max(0.0, self._default.sigma**2 - reading.sigma**2)
         return _Value(reading.value, math.sqrt(reading.sigma**2 + growth * age_ns / self._max_age_ns))
-
-
-_MAX_CACHED_RESULTS = 256
-"""Number of cached results; exposures that are applied again need up to 28 results per second of the last 2 s."""
 
 
 class Surroundings:

@@ -41,6 +41,11 @@ _LOW_STARS_FACTOR = 1.5
 The ratio is 1.4 for stars 10° below a boresight at 45°, and for stars 7° below a boresight at 25°.
 """
 
+_ASSUMED_STARS = 5
+"""Assumed number of stars in an attitude, anywhere in the field; more stars would reduce the error."""
+
+_MAX_ABERRATION = 20.5 * ARCSEC
+
 
 def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> AttitudeMeasurement:
     """Return the attitude with ``shared_n``; its noise and common error no longer contain the shared errors.
@@ -103,12 +108,6 @@ def _split_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tu
     turn_n = stated_n @ lift * (share / along) if along > 0.0 else np.zeros(3)
     left_n = stated_n - np.outer(turn_n, turn_n)
     return 0.5 * (left_n + left_n.T), turn_n
-
-
-_ASSUMED_STARS = 5
-"""Assumed number of stars in an attitude, anywhere in the field; more stars would reduce the error."""
-
-_MAX_ABERRATION = 20.5 * ARCSEC
 
 
 def to_horizon_attitude(

@@ -43,6 +43,18 @@ _FREE = (np.inf, np.inf, np.inf)
 _LEAST_EIGENVALUE = 1e-9
 """Minimum eigenvalue of the information, normalised to a diagonal of ones, for which the unknowns are determined."""
 
+FREE_FOCAL_SIGMA = 0.01
+"""Relative standard deviation of a nearly free focal length."""
+
+MAX_SIGMAS = 4.0
+"""Threshold of the difference between fitted and configured focal length, standard deviations."""
+
+_ENOUGH_STARS = 6
+"""Minimum number of stars consistent with one attitude for which the focal length is not checked.
+
+With a wrong focal length fewer stars would be consistent.
+"""
+
 
 @dataclass(frozen=True)
 class FieldInformation:
@@ -168,19 +180,6 @@ def estimate_optics(
         chi_square=float(information.chi_square - right_side @ solution),
         degrees=degrees,
     )
-
-
-FREE_FOCAL_SIGMA = 0.01
-"""Relative standard deviation of a nearly free focal length."""
-
-MAX_SIGMAS = 4.0
-"""Threshold of the difference between fitted and configured focal length, standard deviations."""
-
-_ENOUGH_STARS = 6
-"""Minimum number of stars consistent with one attitude for which the focal length is not checked.
-
-With a wrong focal length fewer stars would be consistent.
-"""
 
 
 def check_focal_length(

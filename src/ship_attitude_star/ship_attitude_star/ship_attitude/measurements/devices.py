@@ -55,6 +55,21 @@ _IDENTITY.flags.writeable = False
 _SHARED_STATES = {SHARED_BY_MESSAGES: "sky.common", SHARED_BY_GRAVITY: "gravity.deflection"}
 """States of the errors that several attitude measurements share, by :attr:`AttitudeMeasurement.shared_by`."""
 
+BASELINE = "baseline"
+"""Source name of the baseline."""
+
+BASELINE_COMPONENTS = ("baseline up", "baseline right")
+"""Components of the residual of a baseline: measured minus predicted direction, in the up and right axes, rad."""
+
+_UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Jacobian of the forward axis's direction (up, right) with respect to a rotation of the device (forward, up, right).
+"""
+
+_UP_RIGHT_BY_ROTATION.flags.writeable = False
+
+_LENGTH_SIGMAS = 5.0
+"""Maximum error of a baseline length, in standard deviations."""
+
 
 class AttitudeDevice(Device):
     """A device that measures its attitude relative to the horizon."""
@@ -214,21 +229,6 @@ class StarCameraDevice(Device):
         of_all = np.einsum("k,kij->ij", weight, np.eye(3) - directions[:, :, None] * directions[:, None, :])
         information: FloatArray = 0.5 * (of_all + of_all.T)
         return information
-
-
-BASELINE = "baseline"
-"""Source name of the baseline."""
-
-BASELINE_COMPONENTS = ("baseline up", "baseline right")
-"""Components of the residual of a baseline: measured minus predicted direction, in the up and right axes, rad."""
-
-_UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Jacobian of the forward axis's direction (up, right) with respect to a rotation of the device (forward, up, right).
-"""
-_UP_RIGHT_BY_ROTATION.flags.writeable = False
-
-_LENGTH_SIGMAS = 5.0
-"""Maximum error of a baseline length, in standard deviations."""
 
 
 @dataclass(frozen=True)
