@@ -44,63 +44,6 @@ _AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
 """Stamp later than every sample."""
 
 
-def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
-    """Return protection levels, solution separations and exclusions of an attitude.
-
-    Args:
-        filter_: filter and model.
-        config: configuration of the node.
-        estimate: the attitude, with its filter state.
-    """
-    state, subfilters = estimate.state, filter_.fault_detector.subfilters
-    relevant = subfilters.relevant_hypotheses(estimate.sources, state.excluded)
-    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
-    to_angles, source_count = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
-    means, stack = relative_to_horizon(filter_, config, state, estimate.time_ns)
-    # The covariance is without the inflation for large separations, because the levels contain the separations.
-    found = protection_levels(
-        subfilters.k,
-        relevant.indices,
-        filter_.model.state_indices("ins.attitude"),
-        (to_angles, to_angles, estimate.covariance_without_separation_n),
-        means[0],
-        means[1:],
-        stack[:source_count],
-        stack[source_count:],
-    )
-    names = relevant.names
-    if INS not in state.excluded and relevant.is_cross_checked:
-        angle_covariance = to_angles @ estimate.covariance_without_separation_n @ to_angles.T
-        found = with_common_error(
-            found,
-            subfilters.k,
-            subfilters.common_k_md,
-            subfilters.common_threshold,
-            state.correction_sums,
-            to_angles,
-            angle_covariance,
-        )
-        names = *names, ALL_STARS
-    excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
-    has_unresolved_fault = (
-        state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
-    )
-    is_checked = relevant.is_cross_checked and not has_unresolved_fault
-    return integrity_report(estimate.time_ns, config.integrity, subfilters.k, names, found, excluded, is_checked)
-
-
-def relative_to_horizon(
-    filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, time_ns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return means and covariances of all filters, with the INS error relative to the published horizon."""
-    if config.horizon == GEODETIC or filter_.vertical is None:
-        return state.means, state.stack
-    # The gravity horizon differs by the deflection, whose two states follow the three states of the INS attitude.
-    indices, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
-    to_own[indices[:3, None], indices] = own_error_matrix(filter_.vertical.at(time_ns))
-    return state.means @ to_own.T, to_own @ state.stack @ to_own.T
-
-
 class CorrectedIns:
     """Corrections of INS attitudes by one filter state; computed once per state, used at the INS rate.
 
@@ -372,3 +315,60 @@ def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
     """Return the stamp of the last accepted star measurement; None without such a measurement."""
     stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)
+
+
+def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
+    """Return protection levels, solution separations and exclusions of an attitude.
+
+    Args:
+        filter_: filter and model.
+        config: configuration of the node.
+        estimate: the attitude, with its filter state.
+    """
+    state, subfilters = estimate.state, filter_.fault_detector.subfilters
+    relevant = subfilters.relevant_hypotheses(estimate.sources, state.excluded)
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
+    to_angles, source_count = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
+    means, stack = relative_to_horizon(filter_, config, state, estimate.time_ns)
+    # The covariance is without the inflation for large separations, because the levels contain the separations.
+    found = protection_levels(
+        subfilters.k,
+        relevant.indices,
+        filter_.model.state_indices("ins.attitude"),
+        (to_angles, to_angles, estimate.covariance_without_separation_n),
+        means[0],
+        means[1:],
+        stack[:source_count],
+        stack[source_count:],
+    )
+    names = relevant.names
+    if INS not in state.excluded and relevant.is_cross_checked:
+        angle_covariance = to_angles @ estimate.covariance_without_separation_n @ to_angles.T
+        found = with_common_error(
+            found,
+            subfilters.k,
+            subfilters.common_k_md,
+            subfilters.common_threshold,
+            state.correction_sums,
+            to_angles,
+            angle_covariance,
+        )
+        names = *names, ALL_STARS
+    excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
+    has_unresolved_fault = (
+        state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
+    )
+    is_checked = relevant.is_cross_checked and not has_unresolved_fault
+    return integrity_report(estimate.time_ns, config.integrity, subfilters.k, names, found, excluded, is_checked)
+
+
+def relative_to_horizon(
+    filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, time_ns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return means and covariances of all filters, with the INS error relative to the published horizon."""
+    if config.horizon == GEODETIC or filter_.vertical is None:
+        return state.means, state.stack
+    # The gravity horizon differs by the deflection, whose two states follow the three states of the INS attitude.
+    indices, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
+    to_own[indices[:3, None], indices] = own_error_matrix(filter_.vertical.at(time_ns))
+    return state.means @ to_own.T, to_own @ state.stack @ to_own.T

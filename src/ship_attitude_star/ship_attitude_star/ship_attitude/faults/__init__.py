@@ -1,1 +1,1 @@
-"""Fault detection and exclusion of the ship filter: its table of sources, special cases of the INS, integrity."""
+"""Fault detection of the ship filter, exclusion and reinstatement of its sources, and faults of the INS."""
