@@ -7,7 +7,7 @@ import pytest
 
 from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.smoothing.core import TracedFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.fault_detection.detector import with_changes
@@ -21,14 +21,14 @@ DEFLECTION = {"deflection": "constant", "xi_arcsec": 12.0, "eta_arcsec": -7.0, "
 STARS = {"star_sensors": {"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "flexure_sigma_arcsec": 3.0}}}
 
 
-def filter_of(**values: object) -> TracedFilter:
+def filter_of(**values: object) -> ShipFilter:
     """Return the filter of a ship that sails North at 10 m/s; with a vertical there is a fix each second."""
     config = build(ShipAttitudeConfig, {**STARS, **values})
     vertical = VerticalTrack(config.gravity, config.sky) if config.needs_vertical else None
     for second in range(-10, 80 if vertical is not None else -10):
         place = GeodeticPosition(math.radians(40.0) + second * 10.0 / 6.37e6, math.radians(-66.0), 20.0)
         vertical.insert(PositionFix(START_NS + second * SECOND_NS, place, np.diag([0.01, 0.04, 0.01])))
-    return TracedFilter(config, vertical)
+    return ShipFilter(config, vertical)
 
 
 CASES = {

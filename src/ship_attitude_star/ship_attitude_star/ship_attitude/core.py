@@ -69,7 +69,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         recent_sources: recent measurements by source.
     """
 
-    filter_class: ClassVar[type[ShipFilter]] = ShipFilter
+    records_updates: ClassVar[bool] = False
     config: ShipAttitudeConfig
     sky_model: SkyModel | None
 
@@ -85,7 +85,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self.vertical: VerticalTrack | None = None
         if config.needs_vertical:
             self.vertical = VerticalTrack(config.gravity, config.sky)
-        self.filter = self.filter_class(config, self.vertical)
+        self.filter = ShipFilter(config, self.vertical, self.records_updates)
         self.recent_sources: dict[str, RecentSource] = {}
         self._start: tuple[AlignmentPrior, int] | None = None
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
@@ -154,7 +154,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Continue with changed noise and gate parameters; geometry and the set of devices stay."""
         self.config = config
-        self.filter = self.filter_class(config, self.vertical)
+        self.filter = ShipFilter(config, self.vertical, self.records_updates)
         self.output.reconfigure(config, self.filter)
         self.ins.reconfigure(config)
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -46,16 +45,18 @@ class ShipFilter:
     Args:
         config: configuration of the node.
         vertical: vertical along the track; None if the configuration does not need it.
+        records_updates: True to record the last update in each state, for smoothing.
     """
 
-    fault_detector_class: ClassVar[type[ShipFaultDetector]] = ShipFaultDetector
-
-    def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
+    def __init__(
+        self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None, records_updates: bool = False
+    ) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
         self.devices = config.devices
         deflection_track = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, deflection_track)
-        self.fault_detector = self.fault_detector_class(config, self.model, self.devices)
+        self.fault_detector = ShipFaultDetector(config, self.model, self.devices)
+        self.fault_detector.records_updates = records_updates
         self._effects = DecisionEffects(config.gate, self.devices, self.fault_detector)
         self._gate_probability = config.gate.probability
         self._ins_index = self.model.sources.index(SOURCE_INS)

@@ -19,6 +19,7 @@ from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums
 from ship_estimation.fault_detection.detector import FaultState, UnconfirmedStep, UnresolvedFault, with_changes
+from ship_estimation.kalman.rts_smoother import StateUpdate
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
@@ -156,6 +157,8 @@ class FilterState(FaultState):
         utc_step: step of the time base after which UTC is not verified yet; None otherwise.
         correction_sums: sums of the recent corrections by the star sensors, which show an error that all star sensors
             share.
+        last_update: update by the last accepted measurement or INS change, recorded for smoothing; None before the
+            first update, or if updates are not recorded.
     """
 
     time_ns: int | None
@@ -177,6 +180,12 @@ class FilterState(FaultState):
     vertical: LocalVertical | None = None
     utc_step: UtcStep | None = None
     correction_sums: CorrectionSums = NO_CORRECTIONS
+    last_update: StateUpdate | None = None
+
+    @property
+    def prediction_input(self) -> LocalVertical | None:
+        """Vertical at the time of the state, with which the smoother predicts."""
+        return self.vertical
 
     @property
     def mean(self) -> FloatArray:

@@ -6,27 +6,20 @@ The states of its filter record their last update. The real-time attitudes are b
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
-from ship_attitude_star.ship_attitude.faults.ins_fault_handling import is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
 from ship_attitude_star.ship_attitude.model import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.detector import with_changes
-from ship_estimation.fault_detection.subfilters import FilterInnovations
 from ship_estimation.kalman.rts_smoother import GaussianEstimate, RtsSmoother, StateUpdate
 from ship_estimation.plausibility.checked_ins import InsChange
-from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
@@ -40,64 +33,6 @@ _BATCH_SIZE = 1000
 """Number of attitudes that are smoothed together at the end."""
 
 _NO_PARTS = np.empty((0, 3, 3))
-
-
-@dataclass(frozen=True)
-class TracedState(FilterState):
-    """Filter state with its last update.
-
-    Attributes:
-        last_update: update by the last accepted measurement or INS change; None before the first update.
-    """
-
-    last_update: StateUpdate | None = None
-
-    @property
-    def prediction_input(self) -> LocalVertical | None:
-        """Vertical at the time of the state, needed for prediction."""
-        return self.vertical
-
-
-class _TracedFaultDetector(ShipFaultDetector):
-    """Fault detection on states that record their last update."""
-
-    def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
-        """See :meth:`ShipFaultDetector.initial_state`."""
-        return TracedState(**vars(super().initial_state(mean, covariance_by_source)))
-
-    def update_filters(
-        self,
-        state: FilterState,
-        predicted: FilterState,
-        measurement: Measurement,
-        comparison: ComparedMeasurement,
-        innovations: FilterInnovations,
-        accepted: NDArray[np.bool_],
-    ) -> FilterState:
-        """See :meth:`ShipFaultDetector.update_filters`."""
-        after = super().update_filters(state, predicted, measurement, comparison, innovations, accepted)
-        if after.means is state.means:
-            return after
-        assert isinstance(after, TracedState)
-        is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
-        before = GaussianEstimate(predicted.mean, predicted.covariance)
-        return with_changes(
-            after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)
-        )
-
-
-class TracedFilter(ShipFilter):
-    """Ship filter whose states record their last update; the results are bit-identical to :class:`ShipFilter`."""
-
-    fault_detector_class: ClassVar[type[ShipFaultDetector]] = _TracedFaultDetector
-
-    def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
-        """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
-        after = super().apply_ins_change(state, change)
-        assert isinstance(after, TracedState)
-        both = GaussianEstimate(after.mean, after.covariance)
-        leads_back = after.excluded.keys() <= state.excluded.keys()
-        return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
 
 
 class _RealTimeEstimate(NamedTuple):
@@ -124,7 +59,7 @@ class SmoothingCore(ShipAttitudeCore):
             (:meth:`smooth_remaining`). The delay is longer if measurements up to the stamp are not yet final.
     """
 
-    filter_class: ClassVar[type[ShipFilter]] = TracedFilter
+    records_updates: ClassVar[bool] = True
 
     def __init__(self, config: ShipAttitudeConfig, sky_model: SkyModel | None, lag_s: float | None) -> None:
         self._lag_ns = None if lag_s is None else round(lag_s * SECOND_NS)
@@ -155,9 +90,9 @@ class SmoothingCore(ShipAttitudeCore):
         """Restart smoothing at the oldest state of the estimator; attitudes not yet smoothed are discarded."""
         self._committed.clear()
         self._pending.clear()
-        oldest = self._estimator.oldest_state
-        assert isinstance(oldest, TracedState)
-        self._smoother: RtsSmoother[LocalVertical | None] = RtsSmoother(self._new_predictor(), oldest)
+        self._smoother: RtsSmoother[LocalVertical | None] = RtsSmoother(
+            self._new_predictor(), self._estimator.oldest_state
+        )
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
@@ -194,6 +129,13 @@ class SmoothingCore(ShipAttitudeCore):
             last = self._pending[min(len(self._pending), _BATCH_SIZE) - 1]
             yield from self._smoothed_until(last.estimate.time_ns)
 
+    def _apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
+        """See :meth:`ShipAttitudeCore._apply_ins_change`; the inflation is recorded as an update."""
+        after = super()._apply_ins_change(state, change)
+        both = GaussianEstimate(after.mean, after.covariance)
+        leads_back = after.excluded.keys() <= state.excluded.keys()
+        return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
+
     # -- stored data ----------------------------------------------------------------------------------------
 
     def _drop_before(self, time_ns: int, needed_since_ns: int | None = None) -> None:
@@ -207,7 +149,6 @@ class SmoothingCore(ShipAttitudeCore):
 
     def _add_states(self, states: Sequence[FilterState]) -> None:
         for state in states:
-            assert isinstance(state, TracedState)
             self._smoother.add_state(state)
 
     # -- smoothed attitudes ---------------------------------------------------------------------------------

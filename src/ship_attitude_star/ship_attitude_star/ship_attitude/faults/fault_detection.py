@@ -37,6 +37,7 @@ from ship_estimation.fault_detection.subfilters import (
     update_subfilters,
 )
 from ship_estimation.integrity.protection_levels import INFLATION_START_SIGMAS, separation_inflation
+from ship_estimation.kalman.rts_smoother import GaussianEstimate, StateUpdate
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
@@ -46,7 +47,13 @@ _DRIFT_OBSERVED_NS = 3 * SECOND_NS
 
 
 class ShipFaultDetector(ShipSourceExclusion):
-    """Fault detection and exclusion with the filters of a configuration."""
+    """Fault detection and exclusion with the filters of a configuration.
+
+    Attributes:
+        records_updates: True to record the last update in each state, for smoothing.
+    """
+
+    records_updates = False
 
     def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
         """Return the state before any measurement, with all filters at one mean and covariance.
@@ -115,7 +122,7 @@ class ShipFaultDetector(ShipSourceExclusion):
                 correction_sums = correction_sums.with_correction(
                     innovations, comparison.linear.jacobian, self._ins_attitude.start
                 )
-        return with_changes(
+        after = with_changes(
             predicted,
             means=predicted.means + corrections,
             stack=stack,
@@ -124,6 +131,11 @@ class ShipFaultDetector(ShipSourceExclusion):
             recent_innovations=recent,
             correction_sums=correction_sums,
         )
+        if not self.records_updates:
+            return after
+        leads_back = exclusion is None and not is_ins_excluded_by_stars(state)
+        before, now = (GaussianEstimate(one.mean, one.covariance) for one in (predicted, after))
+        return with_changes(after, last_update=StateUpdate(before, now, leads_back))
 
     def detect_faults(
         self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
