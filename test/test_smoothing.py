@@ -12,7 +12,7 @@ import pytest
 
 from ship_attitude_star.messages.attitude_messages import SMOOTHED_TOPIC, smoothed_message
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.smoothing import SmoothingCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.fields import FRAME_NAMES
 from ship_estimation.parameters.schema import build

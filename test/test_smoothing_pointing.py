@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.smoothing import SmoothingCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Status

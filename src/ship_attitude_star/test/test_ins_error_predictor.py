@@ -8,7 +8,7 @@ import pytest
 from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
+from ship_attitude_star.smoothing import InsErrorPredictor
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.fault_detection.detector import with_changes
 from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.smoothing import SmoothingCore
 from ship_estimation.parameters.schema import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC

@@ -40,7 +40,7 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfi
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.corrected_ins import QUANTITIES
 from ship_attitude_star.ship_attitude.observability import RecommendedTurn, observability_of, recommended_manoeuvre
-from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.smoothing import SmoothingCore
 from ship_attitude_star.vertical.deflection import TOPIC
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory

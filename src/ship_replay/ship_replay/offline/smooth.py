@@ -27,7 +27,7 @@ from ship_attitude_star.messages.attitude_messages import (
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_attitude_star.smoothing import SmoothingCore
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, ProgressWrapper, read_bag
 from ship_bags.mcap.bag_writer import BagWriter
