@@ -10,7 +10,7 @@ from bench_filter import ship_steps_us
 from bench_rows import Row, alternate, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
+from ship_attitude_star.star_attitude.exposure_solver import solve_deck, solve_exposure
 from ship_estimation.parameters.schema import build
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -49,16 +49,16 @@ def star_solution() -> list[Row]:
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))
-    exposures = [star_exposure(run, id_, 0) for id_ in run.stars]
+    exposures, sensors = [star_exposure(run, id_, 0) for id_ in run.stars], config.star_sensors
     time_ns = exposures[0].time_ns
     mounted = [
-        MountedExposure(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds)
+        dataclasses.replace(solve_exposure(exposure, (), None, watch)[0], rotation_ds=sensors[id_].rotation_ds)
         for id_, exposure in zip(run.stars, exposures, strict=True)
     ]
     at_once = np.zeros((len(mounted), 3, len(mounted), 3))
     solved = solve_deck(time_ns, mounted, at_once, config.star_sensors, None).solution
     assert solved.status is SolutionStatus.VALID
-    stars = [mounted_.exposure.stars for mounted_ in mounted]
+    stars = [placed.stars for placed in mounted]
     reference = np.concatenate([star.reference_n for star in stars])
     measured = reference @ solved.rotation_nb
     deck_us, svd_us, scipy_us = alternate(

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
+from ship_attitude_star.star_attitude.exposure_solver import solve_deck, solve_exposure
 from ship_estimation.innovations.gates import normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_geometry.air.refraction import Weather
@@ -210,9 +210,9 @@ def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool)
             mounting_n = rotation_ns * sensors[id_].installation_sigma_s
             prior = StarPrior(rotation_ns, scene.ins.covariance_n + mounting_n @ mounting_n.T)
         placed, _ = solve_exposure(exposure[rows[id_]], (), prior, scene.sky_model)
-        group.append(MountedExposure(placed, sensors[id_].rotation_ds))
+        group.append(replace(placed, rotation_ds=sensors[id_].rotation_ds))
     at_once = np.zeros((len(group), 3, len(group), 3))
-    return solve_deck(group[0].exposure.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
+    return solve_deck(group[0].time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
 
 
 def _star_vectors(with_ins: bool, accepted_statuses: Sequence[SolutionStatus]) -> Method:

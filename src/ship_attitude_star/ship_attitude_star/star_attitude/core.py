@@ -16,7 +16,6 @@ from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     AttitudeSolution,
-    MountedExposure,
     PlacedExposure,
     RejectedStar,
     StarOutcome,
@@ -367,7 +366,7 @@ class StarCore:
         # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
         turns, covariance_d = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
-            MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)
+            replace(placed, rotation_ds=turn @ self._sensor(placed.source).rotation_ds)
             for placed, turn in zip(group, turns, strict=True)
         ]
         prior = self._ins.deck_prior(time_ns)

@@ -98,6 +98,7 @@ class PlacedExposure:
         rejected_stars: stars rejected before the solution of the sensor or by this solution.
         turn_variance: variance of an error that rotates all directions equally, each axis, rad². This error remains
             after the correction for the motion during the exposure; the INS noise is not included.
+        rotation_ds: for a joint solution, rotation "deck at the common time from sensor at the exposure", shape (3, 3).
     """
 
     source: str
@@ -106,19 +107,7 @@ class PlacedExposure:
     stars: MatchedStars | None
     rejected_stars: tuple[RejectedStar, ...]
     turn_variance: float = 0.0
-
-
-@dataclass(frozen=True)
-class MountedExposure:
-    """An exposure with the rotation of its directions to the deck frame at a common time.
-
-    Attributes:
-        exposure: the exposure.
-        rotation_ds: rotation "deck at the common time from sensor at the exposure", shape (3, 3).
-    """
-
-    exposure: PlacedExposure
-    rotation_ds: FloatArray
+    rotation_ds: FloatArray = field(default_factory=lambda: _IDENTITY)
 
 
 def rejected_exposure(
@@ -172,7 +161,7 @@ def solve_exposure(
         solution = solution.with_added_noise(noise_variance + turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, rejected_stars, turn_variance)
     if solution.rejected:
-        rejected_stars += tuple(_rejected_stars(solution, [MountedExposure(placed, _IDENTITY)]))
+        rejected_stars += tuple(_rejected_stars(solution, [placed]))
         placed = replace(placed, rejected_stars=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
     text = _AGAINST_INS if against_prior else ""
@@ -181,7 +170,7 @@ def solve_exposure(
 
 def solve_deck(
     time_ns: int,
-    group: Sequence[MountedExposure],
+    group: Sequence[PlacedExposure],
     turn_covariance_d: FloatArray,
     sensors: dict[str, ObservingSensorConfig],
     prior: StarPrior | None,
@@ -190,13 +179,13 @@ def solve_deck(
 
     Args:
         time_ns: time of the attitude.
-        group: the m exposures, each with its rotation to the time of the attitude.
+        group: the m exposures, each with its rotation to the deck at the time of the attitude.
         turn_covariance_d: error covariance of these rotations, rotation vectors in the deck frame, rad², shape
             (m, 3, m, 3).
         sensors: parameters of the sensors by id, with the standard deviations of their mountings.
         prior: attitude of the deck for the selection of stars; None without a known attitude.
     """
-    with_stars = [index for index, mounted in enumerate(group) if mounted.exposure.stars is not None]
+    with_stars = [index for index, placed in enumerate(group) if placed.stars is not None]
     usable = group
     if len(with_stars) < len(group):
         usable = [group[index] for index in with_stars]
@@ -205,24 +194,24 @@ def solve_deck(
         return rejected_group(time_ns, Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky"))
     solution, against_prior = solve_with_fallback(_stars_in_deck(usable, turn_covariance_d, sensors), prior)
     rejected = _rejected_stars(solution, usable)
-    known = {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars}
+    known = {(star.source, star.name) for placed in group for star in placed.rejected_stars}
     newly_rejected = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
         members, rows = solution.members.tolist(), _rows(usable)
-        sources = tuple(m.exposure.source for m, own in zip(usable, rows, strict=True) if any(members[own]))
+        sources = tuple(placed.source for placed, own in zip(usable, rows, strict=True) if any(members[own]))
     return AttitudeSolution(JOINT, time_ns, solution, newly_rejected, sources, _AGAINST_INS if against_prior else "")
 
 
 def _stars_in_deck(
-    group: Sequence[MountedExposure], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
+    group: Sequence[PlacedExposure], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
 ) -> MatchedStars:
     """Return all stars in the deck frame, with the errors of mountings and of rotations to the common time."""
-    stars = [mounted.exposure.stars for mounted in group if mounted.exposure.stars is not None]
+    stars = [placed.stars for placed in group if placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
-    for index, mounted in enumerate(group):
-        sensor = sensors[mounted.exposure.source.partition(".")[2]]
-        mounting_b[index] = mounted.rotation_ds * sensor.installation_sigma_s
+    for index, placed in enumerate(group):
+        sensor = sensors[placed.source.partition(".")[2]]
+        mounting_b[index] = placed.rotation_ds * sensor.installation_sigma_s
     return MatchedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
@@ -240,13 +229,13 @@ def _stars_in_deck(
     )
 
 
-def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: FloatArray) -> FloatArray | None:
+def _turn_errors_in_deck(group: Sequence[PlacedExposure], turn_covariance_d: FloatArray) -> FloatArray | None:
     """Return a square root of the covariance of the rotation errors of m exposures, rad, shape (m, 3, 3 m).
 
     Each column has the rotation vectors of all exposures for one sigma of one independent error. The result is None
     without rotation errors.
     """
-    own = [mounted.exposure.turn_variance for mounted in group]
+    own = [placed.turn_variance for placed in group]
     if not (any(own) or turn_covariance_d.any()):
         return None
     size = 3 * len(group)
@@ -254,7 +243,7 @@ def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: Fl
     return square_roots(covariance_d).reshape(len(group), 3, size)
 
 
-def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
+def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[PlacedExposure]) -> FloatArray | None:
     """Return the covariance that streaks add to each star, deck frame, rad², shape (k, 3, 3); None without streaks."""
     if all(s.smear_b is None for s in stars):
         return None
@@ -273,35 +262,35 @@ def _values_of_all(values: Sequence[FloatArray | None], stars: Sequence[MatchedS
     return np.concatenate([np.zeros(len(s)) if one is None else one for one, s in zip(values, stars, strict=True)])
 
 
-def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
+def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[PlacedExposure]) -> FloatArray | None:
     """Return star displacements by correlated camera errors, deck frame, rad, (k, 3, f); None without such errors."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:
         return None
     of_all, begin, rows = np.zeros((sum(len(s) for s in stars), 3, count)), 0, _rows(group)
-    for s, mounted, own in zip(stars, group, rows, strict=True):
+    for s, placed, own in zip(stars, group, rows, strict=True):
         if s.field_b is not None:
             end = begin + len(s.field_sources)
-            of_all[own, :, begin:end] = mounted.rotation_ds @ s.field_b
+            of_all[own, :, begin:end] = placed.rotation_ds @ s.field_b
             begin = end
     return of_all
 
 
-def _rows(group: Sequence[MountedExposure]) -> list[slice]:
+def _rows(group: Sequence[PlacedExposure]) -> list[slice]:
     """Return the slice of each sensor's stars among the stars of all sensors."""
-    ends = list(accumulate(len(mounted.exposure.exposure) for mounted in group))
+    ends = list(accumulate(len(placed.exposure) for placed in group))
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _rejected_stars(solution: StarSolution, group: Sequence[MountedExposure]) -> list[RejectedStar]:
+def _rejected_stars(solution: StarSolution, group: Sequence[PlacedExposure]) -> list[RejectedStar]:
     """Return the stars that a solution rejects, each with its residual in the frame of its sensor."""
     rejected: list[RejectedStar] = []
     if not solution.rejected:
         return rejected
-    for mounted, rows in zip(group, _rows(group), strict=True):
-        exposure, stars = mounted.exposure.exposure, mounted.exposure.stars
+    for placed, rows in zip(group, _rows(group), strict=True):
+        exposure, stars = placed.exposure, placed.stars
         assert stars is not None
-        rotation_ns = solution.rotation_nb @ mounted.rotation_ds
+        rotation_ns = solution.rotation_nb @ placed.rotation_ds
         for row in range(len(exposure)):
             rejection = solution.rejected.get(rows.start + row)
             if rejection is not None:
