@@ -7,8 +7,7 @@ from typing import Protocol
 
 from ship_estimation.parameters.ship_devices import CheckedInsConfig
 from ship_estimation.plausibility.ins_check import InsCheck
-from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.plausibility.value_checks import StuckCheck, StuckValue, largest_sigma
+from ship_estimation.plausibility.stuck_check import MotionReference, StuckCheck, StuckValue, largest_sigma
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.tracks.attitude_track import AttitudeTrack

@@ -6,10 +6,10 @@
 - Integrity: :mod:`ship_estimation.integrity.protection_levels`, :mod:`ship_estimation.fault_detection.common_error`.
 - Plausibility checks before a measurement is used: :mod:`ship_estimation.plausibility.ins_check` for the samples of an
   INS, :mod:`ship_estimation.plausibility.integrated_rates` for its rates,
-  :mod:`ship_estimation.plausibility.value_checks` for frozen values, jumps.
+  :mod:`ship_estimation.plausibility.stuck_check` for frozen values, :mod:`ship_estimation.plausibility.predictions` for
+  jumps.
 - Order of measurements and outputs: :mod:`ship_estimation.time_order.time_ordered_estimator`.
-- Smoother: :mod:`ship_estimation.kalman.rts_smoother`, with the backward step of
-  :mod:`ship_estimation.kalman.rts_smoother`.
+- Smoother: :mod:`ship_estimation.kalman.rts_smoother`.
 - Diagnosis of sources from their innovations: :mod:`ship_estimation.innovations.innovation_diagnosis`.
 - Recovery by a second estimator: :mod:`ship_estimation.recovery`.
 

@@ -23,14 +23,11 @@ from collections.abc import Iterable, Set
 from dataclasses import dataclass
 from typing import Protocol
 
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import NEVER_NS, SECOND_NS
 
 CONFLICT_HOLD_S = 10.0
 """Time without a conflict of stamps after which results from a source may be VALID again, s."""
 _CONFLICT_HOLD_NS = round(CONFLICT_HOLD_S * SECOND_NS)
-
-_AT_ALL_STAMPS_NS = -(2**62)
-"""Stamp since which a source counts as having two publishers if its stamps may have restarted."""
 
 DETECTION_TIME_S = 2.0
 """Maximum delay of the detection of two publishers of one source after both have sent two messages, s."""
@@ -215,7 +212,7 @@ class StampConflicts:
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
         self.duplicate_publishers = {
-            source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.duplicate_publishers.items()
+            source: (NEVER_NS, text) for source, (_, text) in self.duplicate_publishers.items()
         }
 
     def set_duplicate_publishers(self, source: str, time_ns: int, text: str) -> None:

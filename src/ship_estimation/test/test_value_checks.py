@@ -9,16 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.plausibility.value_checks import (
-    JumpCheck,
-    JumpDecision,
-    PredictionBound,
-    PredictionStep,
-    StuckCheck,
-    vector_length,
-)
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_estimation.plausibility.predictions import JumpCheck, JumpDecision, PredictionBound, PredictionStep
+from ship_estimation.plausibility.stuck_check import MotionReference, StuckCheck
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, vector_length
 
 MS = 1_000_000
 

@@ -196,10 +196,10 @@ Terms of estimation
         Module: ship_estimation.innovations.gates.
     Plausibility check
         Check of a source before its measurement is used: frozen value, jump, rates.
-        Module: ship_estimation.plausibility.value_checks.
+        Module: ship_estimation.plausibility.ins_check.
     Motion reference
         Another source that shows the motion of the ship for a plausibility check.
-        Module: ship_estimation.plausibility.motion_check.
+        Module: ship_estimation.plausibility.stuck_check.
     Measurement decision
         A measurement is accepted or rejected.
         Module: ship_estimation.time_order.outcome.

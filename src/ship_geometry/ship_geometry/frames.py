@@ -12,7 +12,7 @@ transforms FLU vectors into ENU vectors. Quaternions are ordered x, y, z, w. No 
 
 import numpy as np
 
-from ship_geometry.rotations import FloatArray, wrap_two_pi
+from ship_geometry.rotations import FloatArray
 from ship_kernels import compiled_rotations
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
@@ -36,20 +36,9 @@ def rotation_from_angles(
     if isinstance(azimuth, float) and isinstance(elevation, float) and isinstance(roll, float):
         of_one: FloatArray = compiled_rotations.rotations(np.array([[azimuth, elevation, roll]]))[0]
         return of_one
-    ca, sa = np.cos(azimuth), np.sin(azimuth)
-    ce, se = np.cos(elevation), np.sin(elevation)
-    cr, sr = np.cos(roll), np.sin(roll)
-    rotation = np.empty((*np.broadcast(ca, ce, cr).shape, 3, 3))
-    rotation[..., 0, 0] = ca * ce
-    rotation[..., 0, 1] = -ca * se * cr - sa * sr
-    rotation[..., 0, 2] = ca * se * sr - sa * cr
-    rotation[..., 1, 0] = se
-    rotation[..., 1, 1] = ce * cr
-    rotation[..., 1, 2] = -ce * sr
-    rotation[..., 2, 0] = sa * ce
-    rotation[..., 2, 1] = -sa * se * cr + ca * sr
-    rotation[..., 2, 2] = sa * se * sr + ca * cr
-    return rotation
+    angles = np.stack(np.broadcast_arrays(azimuth, elevation, roll), axis=-1).astype(float, copy=False)
+    of_all: FloatArray = compiled_rotations.rotations(angles.reshape(-1, 3)).reshape(*angles.shape, 3)
+    return of_all
 
 
 def angles_from_rotation(rotation: FloatArray) -> FloatArray:
@@ -63,18 +52,8 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
         >>> print(np.rad2deg(angles_from_rotation(rotation_nd)).round(6))  # heading, pitch, roll
         [359.   5.  -3.]
     """
-    if rotation.ndim == 2:
-        angles: FloatArray = compiled_rotations.angles(rotation[None])[0]
-        return angles
-    azimuth = wrap_two_pi(np.arctan2(rotation[..., 2, 0], rotation[..., 0, 0]))
-    # atan2 keeps full precision near the zenith, where an arcsine would not.
-    horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
-    elevation = np.arctan2(rotation[..., 1, 0], horizontal)
-    # Roll is computed from the azimuth. The usual atan2(-R23, R22) fails at the zenith, where both elements vanish.
-    ca, sa = np.cos(azimuth), np.sin(azimuth)
-    sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
-    cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
-    return np.stack([azimuth, elevation, np.arctan2(sine, cosine)], axis=-1)
+    angles: FloatArray = compiled_rotations.angles(rotation.reshape(-1, 3, 3)).reshape(rotation.shape[:-1])
+    return angles
 
 
 def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: float | FloatArray) -> FloatArray:
@@ -207,7 +186,8 @@ def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
         >>> print(rotation_cs[:, 1])  # the sensor's up is the celestial north pole
         [0. 0. 1.]
     """
-    rotation_cs: FloatArray = _matrix_of_one(np.asarray(quaternion, dtype=float)) @ FLU_FROM_DEVICE
+    (matrix,) = compiled_rotations.rotations_of(np.asarray(quaternion, dtype=float)[None])
+    rotation_cs: FloatArray = matrix @ FLU_FROM_DEVICE
     return rotation_cs
 
 
@@ -233,7 +213,6 @@ def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
     Example:
         A sensor whose boresight points to starboard, 90° to the right of the bow, has ROS yaw -90° in the deck:
 
-        >>> from ship_geometry.frames import rotation_from_angles
         >>> print(mounting_quaternion(rotation_from_angles(np.deg2rad(90.0), 0.0, 0.0)).round(4) + 0.0)  # x, y, z, w
         [ 0.      0.     -0.7071  0.7071]
     """
@@ -312,8 +291,3 @@ def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     quaternion /= np.sqrt(np.sum(quaternion**2, axis=-1, keepdims=True))
     quaternion *= np.copysign(1.0, quaternion[..., 3:])
     return quaternion
-
-
-def _matrix_of_one(quaternion: FloatArray) -> FloatArray:
-    matrix: FloatArray = compiled_rotations.rotations_of(quaternion[None])[0]
-    return matrix

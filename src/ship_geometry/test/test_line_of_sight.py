@@ -163,10 +163,9 @@ def test_own_errors_are_independent_between_beacons():
         assert np.abs(moved[1]).max() > 0.0
 
 
-def test_common_and_correlated_terms():
+def test_common_terms_and_sources():
     common = {"rtk_base", "theodolite_lever", "principal_point", "ship_attitude", "refraction"}
     assert {name for name, term in TERMS.items() if term.is_common} == common
-    assert {name for name, term in TERMS.items() if not term.is_correlated} == {"rtk_noise"}
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction"}
     assert {term.source for term in TERMS.values()} == sources
 
@@ -254,5 +253,5 @@ def test_block_diagonal():
 
 def test_common_error_correlates_the_beacons_fully():
     jacobian_n = np.ones((2, 3, 1))
-    term = ErrorTerm("x", "x", is_common=True, is_correlated=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
+    term = ErrorTerm("x", "x", is_common=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
     assert term.direction_covariance_n().tolist() == np.full((6, 6), 4.0).tolist()

@@ -761,6 +761,7 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
         out[n, 0] = azimuth
         # atan2 keeps full precision near the zenith, where an arcsine would not.
         out[n, 1] = atan2(rotations[n, 1, 0], hypot(rotations[n, 0, 0], rotations[n, 2, 0]))
+        # Roll is computed from the azimuth. The usual atan2(-R23, R22) fails at the zenith, where both elements vanish.
         out[n, 2] = atan2(
             ca * rotations[n, 2, 1] - sa * rotations[n, 0, 1], ca * rotations[n, 2, 2] - sa * rotations[n, 0, 2]
         )

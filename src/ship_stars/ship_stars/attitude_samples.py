@@ -12,13 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.plausibility.value_checks import StuckValue, largest_sigma
+from ship_estimation.plausibility.stuck_check import StuckValue, largest_sigma
 from ship_estimation.time_order.outcome import Measurement, MeasurementDecision, Outcome, Status
 from ship_geometry.earth.geodetic import GeodeticPosition
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.rotations import FloatArray
-
-StampArray = NDArray[np.int64]
-"""Array of stamps, ns."""
 
 SHARED_BY_SKY = "sky"
 """Name of the errors that all sensors share through the sky model: refraction, UT1, position and UTC."""

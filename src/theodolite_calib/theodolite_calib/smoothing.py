@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate, RtsSmoother, StateUpdate
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.mount.axes import SHIP
 from ship_geometry.rotations import FloatArray
 from ship_stars.sky.sky_model import SkyModel
@@ -32,7 +33,7 @@ from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
 from theodolite_calib.samples.encoder_check import EncoderJump
-from theodolite_calib.samples.samples import EncoderSample, PointingEstimate, StampArray
+from theodolite_calib.samples.samples import EncoderSample, PointingEstimate
 from theodolite_calib.samples.sighting import Sighting
 from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
 

@@ -48,7 +48,7 @@ from ship_estimation.plausibility.integrated_rates import RateStatus
 from ship_estimation.recovery.displacement import TOGETHER
 from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.adapter import BlockFeed, Feed, ignore_time
@@ -67,7 +67,7 @@ from ship_node.messages.common_messages import (
     Level,
 )
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic, ReadBlock, StampArray
+from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic, ReadBlock
 from ship_node.messages.sensor_readers import ins_block, ins_sample, sigma_mismatch_text
 from ship_node.saved_files.saved_document import DISK, Files
 from ship_node.saved_files.saved_start import SavedStart

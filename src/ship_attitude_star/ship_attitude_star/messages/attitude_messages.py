@@ -17,6 +17,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.integrity.protection_levels import NORMAL_95
 from ship_estimation.parameters.fields import FRAME_NAMES, FrameNames
 from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import (
     ENU_FROM_HORIZON,
     FLU_FROM_DEVICE,
@@ -44,7 +45,7 @@ from ship_node.messages.common_messages import (
 )
 from ship_node.messages.field_checks import NOT_GIVEN
 from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
-from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, DeflectionReading, StampArray
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, DeflectionReading
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
 IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"

@@ -23,6 +23,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.measurements.devices import BASELINE, BaselineMeasurement
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.rejection_rules import Reason
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import (
     FLU_FROM_DEVICE,
     celestial_rotation_from_quaternion,
@@ -49,7 +50,7 @@ from ship_node.messages.field_checks import (
     stamps,
     unit_quaternion,
 )
-from ship_node.messages.inputs_outputs import InputTopic, StampArray
+from ship_node.messages.inputs_outputs import InputTopic
 from ship_node.messages.sensor_readers import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_stars.attitude_samples import (
     SHARED_BY_MESSAGES,

@@ -27,12 +27,12 @@ from ship_estimation.integrity.protection_levels import (
 )
 from ship_estimation.kalman.kalman_filter import exceeds_model
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude, PropagatedBlock
 from ship_kernels import compiled_rotations
-from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon, StampArray
+from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon
 
 QUANTITIES = ("heading", "pitch", "roll")
 """Quantities with a protection level."""

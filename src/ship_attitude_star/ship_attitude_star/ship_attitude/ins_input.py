@@ -22,7 +22,7 @@ from ship_estimation.recovery.recoverable_core import MAX_JUMPS
 from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.tracks.attitude_track import (
     AttitudeSample,
     AttitudeTrack,
@@ -31,7 +31,7 @@ from ship_geometry.tracks.attitude_track import (
     SampleBlock,
     propagate_block,
 )
-from ship_stars.attitude_samples import AttitudeOutcome, AttitudeSeries, StampArray
+from ship_stars.attitude_samples import AttitudeOutcome, AttitudeSeries
 
 
 class _BatchSegment(NamedTuple):

@@ -34,11 +34,11 @@ from ship_estimation.rejection_rules import (
     resolve_same_stamp,
 )
 from ship_estimation.time_order.time_ordered_estimator import LagWindow
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
-from ship_stars.attitude_samples import AttitudeMeasurement, SkyInput, StampArray
+from ship_stars.attitude_samples import AttitudeMeasurement, SkyInput
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import StarExposure
 

@@ -21,12 +21,11 @@ from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump
 from ship_estimation.rejection_rules import Rejection, StampConflicts, resolve_same_stamp
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.tracks.exposure_mean import exposure_motion
 from ship_geometry.tracks.interpolation_error import joint_covariance
-from ship_stars.attitude_samples import StampArray
 from ship_stars.camera.config import MountingConfig
 from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
 from ship_stars.solution.selection import StarPrior

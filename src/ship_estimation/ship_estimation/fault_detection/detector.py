@@ -36,6 +36,21 @@ from ship_estimation.integrity.protection_levels import IntegrityConfig
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 
+__all__ = [
+    "MAX_REMAINING_RATIO",
+    "ExcludedSource",
+    "FaultDetector",
+    "FaultState",
+    "UnconfirmedStep",
+    "UnresolvedFault",
+    "evaluate_reinstatement",
+    "reinstatement_time_s",
+    "with_changes",
+    "with_consistency",
+    "with_entry",
+    "without_entry",
+]
+
 _MOST_DOUBLINGS = 6
 
 MAX_REMAINING_RATIO = 0.5
@@ -194,8 +209,6 @@ class UnconfirmedStep(NamedTuple):
         of = "another time or sensor" if self.confirmed_by else "two different times"
         return f"{self.why}; confirmation by {self.confirming} of {of} is pending"
 
-
-__all__ = ["FaultState", "UnresolvedFault", "with_changes", "with_entry", "without_entry"]
 
 Value = TypeVar("Value")
 

@@ -41,16 +41,6 @@ def probability_above(value: float, degrees: int) -> float:
     return _tails(0.5 * value, 0.5 * degrees)[1]
 
 
-def probability_below(value: float, degrees: int) -> float:
-    """Return the probability that χ² with ``degrees`` degrees of freedom is below ``value``; NaN if ``value`` is NaN.
-
-    Example:
-        >>> print(round(probability_below(7.815, degrees=3), 4))
-        0.95
-    """
-    return _tails(0.5 * value, 0.5 * degrees)[0]
-
-
 @cache
 def value_above(probability: float, degrees: int) -> float:
     """Return the value that χ² with ``degrees`` degrees of freedom exceeds with ``probability``.
@@ -62,7 +52,7 @@ def value_above(probability: float, degrees: int) -> float:
         7.815
     """
     if probability > 0.5:
-        return value_below(1.0 - probability, degrees)
+        return chi_square_gate(1.0 - probability, degrees)
     if not probability >= _LEAST:
         return math.nan if math.isnan(probability) else math.inf
     a, wanted = 0.5 * degrees, math.log(probability)
@@ -80,12 +70,16 @@ def value_above(probability: float, degrees: int) -> float:
 
 
 @cache
-def value_below(probability: float, degrees: int) -> float:
-    """Return the quantile ``probability`` of χ² with ``degrees`` degrees of freedom; infinite for probability 1.
+def chi_square_gate(probability: float, degrees: int) -> float:
+    """Return the quantile ``probability`` of χ² with ``degrees`` degrees of freedom: the gate of the NIS.
+
+    The quantile is infinite for probability 1.
 
     Example:
-        >>> print(round(value_below(0.05, degrees=3), 3))
-        0.352
+        With probability 99.99 % the NIS of a consistent attitude (three components) is below 21.1:
+
+        >>> print(round(chi_square_gate(0.9999, 3), 2))
+        21.11
     """
     if probability > 0.5:
         return value_above(1.0 - probability, degrees)
@@ -195,18 +189,6 @@ class GateConfig:
     )
 
 
-def chi_square_gate(probability: float, degrees: int) -> float:
-    """Return the gate of the NIS, the quantile ``probability`` of chi² with ``degrees`` degrees of freedom.
-
-    Example:
-        With probability 99.99 % the NIS of a consistent attitude (three components) is below 21.1:
-
-        >>> print(round(chi_square_gate(0.9999, 3), 2))
-        21.11
-    """
-    return value_below(probability, degrees)
-
-
 def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return NEES or NIS, error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n).
 
@@ -232,7 +214,7 @@ def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tu
         2.46 to 3.60
     """
     tail, total = 0.5 * (1.0 - probability), samples * degrees
-    return value_below(tail, total) / samples, value_above(tail, total) / samples
+    return chi_square_gate(tail, total) / samples, value_above(tail, total) / samples
 
 
 def sigma_ratio_band(samples: int, probability: float = 0.999) -> tuple[float, float]:

@@ -91,18 +91,18 @@ class PublishedLevels:
             period_ns: maximum time between two reports, ns.
         """
         published = self.report
-        if published is not None and output.time_ns < self.until_ns and _has_same_state(report, published):
+        if (
+            published is not None
+            and output.time_ns < self.until_ns
+            and report.state is published.state
+            and report.excluded == published.excluded
+        ):
             covers, self.max_variance, self.max_direction_change = _coverage(output, report, published)
             if covers:
                 return False
         self.report, self.until_ns = report, output.time_ns + period_ns
         _, self.max_variance, self.max_direction_change = _coverage(output, report, report)
         return True
-
-
-def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool:
-    """True if a report has the integrity state and the excluded sources of the published report."""
-    return report.state is published.state and report.excluded == published.excluded
 
 
 def _coverage(

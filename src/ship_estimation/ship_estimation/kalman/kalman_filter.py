@@ -145,8 +145,6 @@ class StateModel:
 
     def transition(self, dt_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the diagonals of the transition matrix and process noise over ``dt_s`` >= 0, shapes (..., n)."""
-        if isinstance(dt_s, float) and dt_s == 0.0:
-            return np.ones(self.size), np.zeros(self.size)
         if isinstance(dt_s, float):
             found: tuple[FloatArray, FloatArray] = compiled_kalman.transition(
                 dt_s, self._time_s, self._steady_variance, self._walk_variance

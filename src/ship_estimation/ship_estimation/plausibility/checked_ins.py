@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.plausibility.integrated_rates import StampArray
-from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.plausibility.value_checks import vector_length
+from ship_estimation.plausibility.stuck_check import MotionReference
 from ship_estimation.rejection_rules import Rejection
-from ship_geometry.rotations import FloatArray
+from ship_geometry.earth.time_scales import StampArray
+from ship_geometry.rotations import FloatArray, vector_length
 from ship_geometry.tracks.attitude_track import AttitudeSample, ExtraNoise
 
 _CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1

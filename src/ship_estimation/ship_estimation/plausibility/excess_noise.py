@@ -14,6 +14,7 @@ excess, so that changes and the end of the excess are detected within seconds.
 
 import math
 from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -246,7 +247,7 @@ class ExcessNoise:
         if not rates_proven or time_ns < self._due_ns or len(collected) <= _LEAST_STEPS:
             return None
         self._due_ns = time_ns + _EVERY_NS
-        steps = self._steps()
+        steps = _Steps.from_samples(collected)
         return self._initial_excess(steps) if self.found is None else self._changed_excess(self.found, steps)
 
     def _initial_excess(self, steps: "_Steps") -> ExtraNoise | None:
@@ -282,16 +283,6 @@ class ExcessNoise:
             return self._start_excess(over_long, self._fastest2)
         return None
 
-    def _steps(self) -> "_Steps":
-        samples = [sample for sample, _ in self._collected]
-        return _Steps.from_samples(
-            np.array([sample.time_ns for sample in samples]),
-            np.array([sample.rotation_nd for sample in samples]),
-            np.array([integrated.rotation for _, integrated in self._collected]),
-            np.array([sample.rate_d for sample in samples]),
-            np.array([integrated.error_rad for _, integrated in self._collected]),
-        )
-
     def _start_excess(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
         before, self.found, self._fastest2 = self.found, measured, fastest2
         self._sums.clear()
@@ -325,15 +316,13 @@ class _Steps(NamedTuple):
     error_rad: float
 
     @classmethod
-    def from_samples(
-        cls,
-        times_ns: NDArray[np.int64],
-        rotation_nd: FloatArray,
-        by_rates: FloatArray,
-        rates_d: FloatArray,
-        missed_rad: FloatArray,
-    ) -> "_Steps":
-        """Return the steps between samples, from attitudes, integrated attitudes, rates and integration errors."""
+    def from_samples(cls, collected: Collection[tuple[AttitudeSample, IntegratedAttitude]]) -> "_Steps":
+        """Return the steps between samples with rates and integrated attitudes."""
+        times_ns = np.array([sample.time_ns for sample, _ in collected])
+        rotation_nd = np.array([sample.rotation_nd for sample, _ in collected])
+        rates_d = np.array([sample.rate_d for sample, _ in collected])
+        by_rates = np.array([integrated.rotation for _, integrated in collected])
+        missed_rad = np.array([integrated.error_rad for _, integrated in collected])
         carried_nd = rotation_nd[:-1] @ by_rates[:-1].swapaxes(-1, -2) @ by_rates[1:]
         differences = log_rotation(rotation_nd[1:] @ carried_nd.swapaxes(-1, -2))
         missed = float(np.sqrt(np.mean(np.diff(missed_rad, n=2) ** 2)))

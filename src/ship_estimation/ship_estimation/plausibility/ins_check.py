@@ -12,26 +12,22 @@ from dataclasses import replace
 
 from ship_estimation.parameters.ship_devices import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump, clock_step_s
-from ship_estimation.plausibility.ins_predictions import (
+from ship_estimation.plausibility.integrated_rates import IntegratedRun, RateConsistencyCheck, RateStatus
+from ship_estimation.plausibility.predictions import (
     FASTEST_RAD_PER_S,
     InsPredictions,
+    JumpCheck,
+    JumpDecision,
     NumberedSample,
+    PredictionMatch,
     are_in_one_run,
     extrapolate_back,
     seconds_between,
 )
-from ship_estimation.plausibility.integrated_rates import IntegratedRun, RateConsistencyCheck, RateStatus
-from ship_estimation.plausibility.motion_check import MotionReference
 from ship_estimation.plausibility.rate_comparison import RateComparison
-from ship_estimation.plausibility.value_checks import (
-    JumpCheck,
-    JumpDecision,
-    PredictionMatch,
-    StuckCheck,
-    vector_length,
-)
+from ship_estimation.plausibility.stuck_check import MotionReference, StuckCheck
 from ship_estimation.rejection_rules import Reason, Rejection
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, vector_length
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 
 _STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources show a rotation")
@@ -125,8 +121,10 @@ class InsCheck:
         taken = self._accepted
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
+        if not self.comparison.step_detector.is_ready or self.comparison.excess.is_collecting:
+            return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return in_order and self._unresolved_jump is None and self.comparison.can_accept_block
+        return in_order and self._unresolved_jump is None
 
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
@@ -220,12 +218,10 @@ class InsCheck:
             self._accepted = seen._replace(before=None)
         self._previous = self._accepted
         wrong_after_ns = self._check_rates(previous, seen) if count == due else None
-        if not jumps and wrong_after_ns is None and not self.comparison.has_new_noise:
-            return count, None
         sample = last if self._rate_check.is_usable else replace(last, rate_d=None)
-        return count, self.comparison.with_noise(
-            CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns)
-        )
+        checked = self.comparison.with_noise(CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns))
+        is_usual = not jumps and wrong_after_ns is None and checked.noise is None
+        return count, None if is_usual else checked
 
     @staticmethod
     def _last_two(

@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.plausibility.excess_noise import NoiseSums, noise_sums
-from ship_estimation.plausibility.integrated_rates import IntegratedAttitude, IntegratedRun, StampArray
+from ship_estimation.plausibility.integrated_rates import IntegratedAttitude, IntegratedRun
 from ship_estimation.plausibility.line_steps import Period, StepPlan, doubling_counts, locate_step, step_plan
-from ship_estimation.plausibility.value_checks import ROUNDING_SPREAD, PredictionMatch, vector_length
-from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_estimation.plausibility.predictions import PredictionMatch
+from ship_estimation.plausibility.stuck_check import ROUNDING_SPREAD
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
+from ship_geometry.rotations import FloatArray, exp_rotation, vector_length
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_kernels import compiled_checks, compiled_rotations
 

@@ -12,15 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ship_estimation.plausibility.value_checks import vector_length
-from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation, vector_length
 from ship_kernels import compiled_checks, compiled_rotations
-
-StampArray = NDArray[np.int64]
-"""Stamps, ns."""
 
 _LONGEST_STEP_NS = SECOND_NS
 """Maximum interval between two rates for their integration, ns."""
@@ -135,17 +130,6 @@ class RateIntegrator:
     def set_drift(self, drift_d: FloatArray) -> None:
         """Set the error of the rates, deck frame, rad/s, shape (3,), which is subtracted from now on."""
         self._twice_drift_d = 2.0 * drift_d
-
-
-def mean_rate_error_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
-    """Return a bound of the error of integrating the mean of two rates (rad/s, shape (3,)), rad.
-
-    >>> steady = np.array([0.0, 0.0, 0.1])
-    >>> mean_rate_error_rad(steady, steady, seconds=0.0)
-    0.0
-    """
-    missed_rad: float = compiled_checks.mean_rate_error(first_rate_d, second_rate_d, seconds)
-    return missed_rad
 
 
 class RateStatus(enum.Enum):

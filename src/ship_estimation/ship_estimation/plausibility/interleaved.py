@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import FloatArray
 
 WINDOW = 32
@@ -38,8 +38,6 @@ up to one such change."""
 
 _CLEAN = 2
 """Number of successive windows with one stream after which the source has one stream again."""
-
-StampArray = NDArray[np.int64]
 
 
 class _WindowResult(NamedTuple):

@@ -8,13 +8,11 @@ changed.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ship_estimation.plausibility.checked_ins import CheckedInsSample, InsJump
 from ship_estimation.plausibility.excess_noise import ExcessNoise
-from ship_estimation.plausibility.ins_predictions import InsPredictions
 from ship_estimation.plausibility.ins_step_detector import InsStepDetector
 from ship_estimation.plausibility.integrated_rates import (
     IntegratedAttitude,
@@ -22,6 +20,7 @@ from ship_estimation.plausibility.integrated_rates import (
     RateIntegrator,
     RateStatus,
 )
+from ship_estimation.plausibility.predictions import InsPredictions
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, ExtraNoise
 
@@ -40,25 +39,13 @@ _FASTER = 1.5
 """Ratio to the fastest earlier rotation above which a piece is not tested, because the piece shows new scale errors."""
 
 
-class RateDisagreement(NamedTuple):
-    """Drift of an attitude against its rates.
-
-    Attributes:
-        turn_n: rotation vector of the drift in the horizon frame, rad, shape (3,).
-        sigma_rad: standard deviation of the drift about the worst axis.
-    """
-
-    turn_n: FloatArray
-    sigma_rad: float
-
-
 class RateDriftDetector:
     """Detector of drift of one INS attitude against its rates, in successive pieces of time.
 
     >>> detector, rng = RateDriftDetector(), np.random.default_rng(1)
     >>> clean = [detector.detect(rng.normal(0.0, 1e-6, 3), 2.0, 0.1) for _ in range(30)]
-    >>> drift = detector.detect(np.array([0.0, 2e-5, 0.0]), 2.0, 0.1)
-    >>> set(clean), (drift.turn_n * 1e5).round() + 0.0
+    >>> drift_n, _ = detector.detect(np.array([0.0, 2e-5, 0.0]), 2.0, 0.1)
+    >>> set(clean), (drift_n * 1e5).round() + 0.0
     ({None}, array([0., 4., 0.]))
     """
 
@@ -76,15 +63,17 @@ class RateDriftDetector:
         self._slopes_n.clear()
         self._turning.clear()
 
-    def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
-        """Return the drift of the attitude in this piece and up to three pieces before, or None.
-
-        The result is None if the drift is usual or cannot be tested.
+    def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> tuple[FloatArray, float] | None:
+        """Return the drift of the attitude in this piece and up to three pieces before, if the drift is unusual.
 
         Args:
             slope_n: drift in the piece minus the estimated drift, horizon frame, rad/s, shape (3,).
             seconds: length of the piece, s.
             turning: magnitude of the ship's mean angular velocity in the piece, rad/s.
+
+        Returns:
+            Rotation vector of the drift in the horizon frame, rad, shape (3,), and its standard deviation about the
+            worst axis. None if the drift is usual or cannot be tested.
         """
         self._fresh += 1
         if self._fresh == 0 and not self._known:
@@ -106,7 +95,7 @@ class RateDriftDetector:
             # The condition is false for a spread of zero and for NaN.
             if over <= self._fresh and square.min() > 0.0 and float(np.sum(summed_n**2 / square)) > limit:
                 self._fresh = 0
-                return RateDisagreement(summed_n * seconds, math.sqrt(float(square.max())) * seconds)
+                return summed_n * seconds, math.sqrt(float(square.max())) * seconds
         return None
 
     def _learn(self, slope_n: FloatArray, turning: float) -> None:
@@ -164,16 +153,6 @@ class RateComparison:
         found = self.excess.found
         return "" if found is None else found.text(self._stated_rad)
 
-    @property
-    def can_accept_block(self) -> bool:
-        """True if samples may be accepted together: the line is established and no excess noise is being measured."""
-        return self.step_detector.is_ready and not self.excess.is_collecting
-
-    @property
-    def has_new_noise(self) -> bool:
-        """True if excess noise was estimated that :meth:`with_noise` has not returned yet."""
-        return self._new_noise is not None
-
     def check(self, sample: AttitudeSample, integrated: IntegratedAttitude, coarseness_rad: float) -> bool | None:
         """Return the result of :meth:`InsStepDetector.check`, None also without confirmed rates; collect noise samples.
 
@@ -216,7 +195,7 @@ class RateComparison:
         self.integrator.set_drift(self._predictions.drift.update(learnt.drift_n, sample.rotation_nd))
         self._predictions.rate_bound.set_typical(learnt.typical_rad)
         drift = self._drift_detector.detect(learnt.drift_n, learnt.seconds, learnt.turning)
-        return () if drift is None else (InsJump(sample.time_ns - 1, drift.turn_n, drift.sigma_rad, is_drift=True),)
+        return () if drift is None else (InsJump(sample.time_ns - 1, *drift, is_drift=True),)
 
     def with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
         """Return the result with new excess noise, if any; all checks then use this noise with new statistics."""

@@ -25,6 +25,9 @@ TimeNs = int | NDArray[np.int64]
 JulianDate = tuple[Any, Any]
 """Julian date as the sum of two floats or float arrays: the date at midnight, and the fraction of the day."""
 
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
+
 SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
 TT_MINUS_TAI_S = 32.184

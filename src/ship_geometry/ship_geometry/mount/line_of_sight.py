@@ -108,7 +108,6 @@ class ErrorTerm:
         name: name of the error.
         source: source of the error in the error budget.
         is_common: True if one error affects all directions; False if each beacon has an independent error.
-        is_correlated: True if the error is correlated in time; False if it is white.
         jacobian_n: derivative of the unit directions with respect to the error, rad per unit, shape (..., N, 3, k).
         covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in both
             cases.
@@ -117,7 +116,6 @@ class ErrorTerm:
     name: str
     source: str
     is_common: bool
-    is_correlated: bool
     jacobian_n: FloatArray
     covariance: FloatArray
 
@@ -178,24 +176,22 @@ class LinesOfSight:
         """Independent errors of the directions."""
         beacons, ship, survey = self.beacons, self.ship, self.survey
         own, common = False, True
-        white, slow = False, True
 
-        def term(name: str, source: str, is_common: bool, is_slow: bool, covariance: FloatArray) -> ErrorTerm:
-            jacobian_n = self.jacobian_n[..., TERM_COLUMNS[name]]
-            return ErrorTerm(name, source, is_common, is_slow, jacobian_n, covariance)
+        def term(name: str, source: str, is_common: bool, covariance: FloatArray) -> ErrorTerm:
+            return ErrorTerm(name, source, is_common, self.jacobian_n[..., TERM_COLUMNS[name]], covariance)
 
         lever_m, lens_m = survey.theodolite_lever.sigma_m, survey.principal_point.sigma_m
         return (
-            term("rtk_noise", "rtk", own, white, beacons.baseline_covariance_n),
-            term("rtk_bias", "rtk", own, slow, _diagonal(survey.rtk_bias_sigma_m)),
-            term("rtk_base", "rtk", common, slow, _diagonal(survey.rtk_base_sigma_m)),
-            term("theodolite_lever", "lever_arms", common, slow, _diagonal(lever_m)),
-            term("principal_point", "lever_arms", common, slow, _diagonal(lens_m)),
-            term("light_lever", "lever_arms", own, slow, _diagonal(survey.beacon_lever.sigma_m)),
-            term("ship_attitude", "ship_attitude", common, slow, ship.attitude_covariance_n),
-            term("drone_attitude", "drone_attitude", own, slow, beacons.attitude_covariance_n),
-            term("refraction", "refraction", common, slow, np.array([[survey.refraction_sigma**2]])),
-            term("light_refraction", "refraction", own, slow, _one_by_one(survey.refraction_beacon_sigma)),
+            term("rtk_noise", "rtk", own, beacons.baseline_covariance_n),
+            term("rtk_bias", "rtk", own, _diagonal(survey.rtk_bias_sigma_m)),
+            term("rtk_base", "rtk", common, _diagonal(survey.rtk_base_sigma_m)),
+            term("theodolite_lever", "lever_arms", common, _diagonal(lever_m)),
+            term("principal_point", "lever_arms", common, _diagonal(lens_m)),
+            term("light_lever", "lever_arms", own, _diagonal(survey.beacon_lever.sigma_m)),
+            term("ship_attitude", "ship_attitude", common, ship.attitude_covariance_n),
+            term("drone_attitude", "drone_attitude", own, beacons.attitude_covariance_n),
+            term("refraction", "refraction", common, np.array([[survey.refraction_sigma**2]])),
+            term("light_refraction", "refraction", own, _one_by_one(survey.refraction_beacon_sigma)),
         )
 
 
@@ -236,7 +232,7 @@ def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
 
     Example:
         >>> noise, bias = (
-        ...     ErrorTerm(name, "rtk", False, name == "bias", np.eye(3)[None], variance * np.eye(3))
+        ...     ErrorTerm(name, "rtk", False, np.eye(3)[None], variance * np.eye(3))
         ...     for name, variance in {"noise": 1.0, "bias": 3.0}.items()
         ... )
         >>> covariance_by_source([noise, bias])["rtk"].diagonal().tolist()

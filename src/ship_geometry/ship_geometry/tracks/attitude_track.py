@@ -21,7 +21,6 @@ from ship_geometry.tracks.interpolation_error import (
     as_covariance,
     polynomial_errors,
     propagate_by_differences,
-    propagate_by_rates,
 )
 from ship_geometry.tracks.sample_track import RECENT_COUNT, SampleTrack
 from ship_kernels import compiled_rotations
@@ -284,14 +283,11 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
         The result is None for fewer than MAX_RATES - 1 samples, and if these have a gap, a jump or no measured rate.
         """
-        recent, times_ns = self._samples[1 - MAX_RATES :], self._times[1 - MAX_RATES :]
-        rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
-        if len(rates_d) < MAX_RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
-            return None
+        rates_d = self._recent_rates(len(self._samples) - 1)[: MAX_RATES - 1]
         # Rates from before and after a jump do not give an acceleration.
-        if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
+        if len(rates_d) < MAX_RATES - 1 or (self._cuts_ns and max(self._cuts_ns) >= self._times[-1]):
             return None
-        return RecentRates(np.array(times_ns), np.array(rates_d))
+        return RecentRates(np.array(self._times[1 - MAX_RATES :]), np.array(rates_d[::-1]))
 
     def drop_rates(self, after_ns: int) -> int | None:
         """Drop the wrong measured rates of all samples after a stamp.
@@ -330,8 +326,13 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
         times = self._times
         steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
-        (moved_nd,), (rate_d,), (error_d,) = propagate_by_rates(
-            rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
+        (moved_nd,), (rate_d,), (error_d,) = compiled_rotations.propagate_by_rates(
+            rotation_nd[None],
+            np.array([rates]),
+            np.array([steps_s]),
+            np.array([ahead_s]),
+            ANY_DIRECTION,
+            LARGEST_VARIANCE,
         )
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 
@@ -451,7 +452,12 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
     rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
     # Indices of the rates for each sample, newest first.
     recent = np.arange(MAX_RATES - 1, MAX_RATES - 1 + count)[:, None] - np.arange(MAX_RATES)
-    moved_nd, rate_d, error_d = propagate_by_rates(
-        block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
+    moved_nd, rate_d, error_d = compiled_rotations.propagate_by_rates(
+        block.rotations_nd[:count],
+        rates_d[recent],
+        steps_s[recent[:, :-1] - 1],
+        ahead_s,
+        ANY_DIRECTION,
+        LARGEST_VARIANCE,
     )
     return PropagatedBlock(moved_nd, rate_d, np.ones(count), error_d)

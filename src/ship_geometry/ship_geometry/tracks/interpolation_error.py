@@ -1,10 +1,11 @@
-"""Interpolation error as a covariance, estimated from the neighbouring samples, and propagation of an attitude.
+"""Interpolation error as a covariance, estimated from the neighbouring samples, and propagation by differences.
 
 Values between two samples are interpolated by a cubic. The error of the cubic is estimated from its differences to the
 other neighbouring samples. With measured rates, the difference at one other sample is scaled to the requested time
 (:func:`ship_kernels.compiled_rotations.interpolate_attitude`). Without measured rates, the cubic is compared with the
 polynomial through all neighbouring samples (:func:`polynomial_errors`). After its newest sample an attitude is
-propagated over a short time, by measured rates or by differences of attitudes; the error is estimated in the same way.
+propagated over a short time, by measured rates (:func:`ship_kernels.compiled_rotations.propagate_by_rates`) or by
+differences of attitudes (:func:`propagate_by_differences`); the error is estimated in the same way.
 
 Only a fraction of the noise of the samples enters the estimates, because no difference is divided by the time between
 samples. At high sample rates the estimates are therefore small compared with the noise. Derivation and numbers:
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_kernels import compiled_rotations, compiled_tracks
+from ship_kernels import compiled_tracks
 
 MOST_SAMPLES = 5
 """Maximum number of samples for a polynomial; with more samples their noise dominates."""
@@ -30,6 +31,14 @@ In a wave the terms of successive orders are out of phase: if one term is zero, 
 
 ANY_DIRECTION = 0.3
 """Relative error of an estimated interpolation error, equal in all directions."""
+
+LARGEST_VARIANCE = np.pi**2
+"""Maximum variance of an estimated error, rad²; no attitude error exceeds half a turn."""
+
+_WORST_OF_DIFFERENCED = 0.0962
+"""Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
+
+The error of a cubic with differenced rates is at most this value times step³ times the third divided difference."""
 
 
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
@@ -115,45 +124,6 @@ def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: F
     next_term_share = NEXT_TERM_SHARE if len(nodes) == MOST_SAMPLES else 1.0
     error, missing_terms = compiled_tracks.polynomial_errors(nodes, values, at, found, next_term_share)
     return error, missing_terms
-
-
-_WORST_OF_DIFFERENCED = 0.0962
-"""Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
-
-The error of a cubic with differenced rates is at most this value times step³ times the third divided difference."""
-
-LARGEST_VARIANCE = np.pi**2
-"""Maximum variance of an estimated error, rad²; no attitude error exceeds half a turn."""
-
-
-def propagate_by_rates(
-    rotation_nd: FloatArray, rates_d: FloatArray, steps_s: FloatArray, ahead_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Propagate N samples by short times, with their rates and angular accelerations.
-
-    Args:
-        rotation_nd: attitudes of the samples, shape (N, 3, 3).
-        rates_d: rates of each sample and of the samples before it, newest first, rad/s, shape (N, k, 3), k at least 2.
-        steps_s: intervals between these samples, s, shape (N, k - 1).
-        ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
-
-    Returns:
-        Attitudes, rates (rad/s) and error covariances (rad²) as in
-        :class:`ship_geometry.tracks.attitude_track.InterpolatedAttitude`.
-
-    Example:
-        A sample propagated by 10 ms at a constant 0.1 rad/s:
-
-        >>> rates_d, steps_s = np.full((1, 4, 3), [0.1, 0.0, 0.0]), np.full((1, 3), 0.01)
-        >>> from ship_geometry.rotations import log_rotation
-        >>> moved_nd, _, _ = propagate_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
-        >>> print(log_rotation(moved_nd[0]).round(6))
-        [0.001 0.    0.   ]
-    """
-    found: tuple[FloatArray, FloatArray, FloatArray] = compiled_rotations.propagate_by_rates(
-        rotation_nd, rates_d, steps_s, ahead_s, ANY_DIRECTION, LARGEST_VARIANCE
-    )
-    return found
 
 
 def propagate_by_differences(

@@ -13,17 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.rejection_rules import Rejection
+from ship_geometry.earth.time_scales import StampArray
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages.field_checks import ReadMessage
-from ship_node.messages.inputs_outputs import (
-    Batch,
-    BatchOutputs,
-    InputTopic,
-    OutputMessage,
-    OutputTopic,
-    ReadBlock,
-    StampArray,
-)
+from ship_node.messages.inputs_outputs import Batch, BatchOutputs, InputTopic, OutputMessage, OutputTopic, ReadBlock
 from ship_node.saved_files.saved_document import DISK, Files
 
 if TYPE_CHECKING:

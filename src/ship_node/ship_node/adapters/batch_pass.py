@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ship_estimation.rejection_rules import Rejection
+from ship_geometry.earth.time_scales import StampArray
 from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, EvaluatedBlock, Feed
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.inputs_outputs import (
@@ -23,7 +24,6 @@ from ship_node.messages.inputs_outputs import (
     OutputMessage,
     PlacedMessages,
     ReadBlock,
-    StampArray,
 )
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_estimation.plausibility.interleaved import InterleavedStreams, StampArray
+from ship_estimation.plausibility.interleaved import InterleavedStreams
 from ship_geometry.earth.geodetic import ecef_from_geodetic
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _ROTATION = np.sqrt(2.0)

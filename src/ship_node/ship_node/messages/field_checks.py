@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from ship_bags.cdr_template import CdrRows
 from ship_bags.stamps import NS_PER_S, duration_text, stamps_of_rows
 from ship_estimation.rejection_rules import Reason, Rejection, shorten
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
-from ship_node.messages.inputs_outputs import StampArray
 
 FUTURE_TOLERANCE_NS = 50_000_000
 """Maximum time by which a stamp may be ahead of the node's clock, ns."""

@@ -9,16 +9,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ship_bags.cdr_template import CdrRows
+from ship_geometry.earth.time_scales import StampArray
 
 OutputMessage = tuple[str, Any]
 """Message to publish: (topic, message)."""
-
-StampArray = NDArray[np.int64]
-"""Stamps, ns."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.parameters.ship_devices import InsInputConfig
 from ship_estimation.rejection_rules import Reason, Rejection
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import ENU_FROM_HORIZON, device_vector_from_ros, horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
@@ -28,7 +29,7 @@ from ship_node.messages.field_checks import (
     stamp_ns,
     stamps,
 )
-from ship_node.messages.inputs_outputs import ReadBlock, StampArray
+from ship_node.messages.inputs_outputs import ReadBlock
 
 SIGMA_MISMATCH_RATIO = 1.5
 """Ratio of the sigma stated by an INS to the configured sigma, above which the stated sigma is reported."""

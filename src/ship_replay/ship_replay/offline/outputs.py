@@ -13,9 +13,10 @@ import numpy as np
 
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
-from ship_node.messages.inputs_outputs import OutputBlock, StampArray
+from ship_node.messages.inputs_outputs import OutputBlock
 from ship_watch.orientations import Orientation
 
 TRUTH_GAP_NS = 1_000_000_000

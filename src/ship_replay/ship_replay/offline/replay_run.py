@@ -17,6 +17,7 @@ from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.message_store import definition_in
 from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_bags.topic_names import TRUTH_PREFIX
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.adapter import TICK_PERIOD_NS
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC
@@ -27,7 +28,6 @@ from ship_node.messages.inputs_outputs import (
     OutputBlock,
     OutputMessage,
     PlacedMessages,
-    StampArray,
 )
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.plausibility.value_checks import StuckValue
+from ship_estimation.plausibility.stuck_check import StuckValue
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.star_directions import StarPositions
 from ship_geometry.rotations import ARCSEC, FloatArray

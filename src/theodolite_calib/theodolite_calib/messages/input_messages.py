@@ -15,6 +15,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_estimation.parameters.fields import FRAME_NAMES
 from ship_estimation.rejection_rules import Reason, Rejection, shorten
 from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import (
     ENU_FROM_HORIZON,
     angles_from_rotation,
@@ -51,7 +52,6 @@ from ship_node.messages.field_checks import (
     unit_quaternion,
     unit_quaternions,
 )
-from ship_node.messages.inputs_outputs import StampArray
 from ship_node.messages.sensor_readers import baseline_stamp_ns, baseline_vector, fix_rejection, ins_sample
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.samples.samples import (

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.parameters.fields import FRAME_NAMES, FrameNames
 from ship_estimation.time_order.outcome import Status
+from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.frames import (
     ENU_FROM_HORIZON,
     FLU_FROM_DEVICE,
@@ -38,7 +39,7 @@ from ship_node.messages.common_messages import (
     single_numbers,
 )
 from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
-from theodolite_calib.samples.samples import PointingEstimate, StampArray, TargetEstimate
+from theodolite_calib.samples.samples import PointingEstimate, TargetEstimate
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice

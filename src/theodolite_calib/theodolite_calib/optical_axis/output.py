@@ -22,7 +22,7 @@ from ship_estimation.integrity.protection_levels import (
 )
 from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.mount.axes import DEFORMATION, SHIP
 from ship_geometry.rotations import FloatArray
@@ -39,12 +39,7 @@ from theodolite_calib.filter.model import (
     ship_error_steps,
 )
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
-from theodolite_calib.samples.samples import (
-    EncoderSample,
-    Mode,
-    PointingEstimate,
-    StampArray,
-)
+from theodolite_calib.samples.samples import EncoderSample, Mode, PointingEstimate
 from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")

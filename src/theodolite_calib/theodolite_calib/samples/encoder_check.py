@@ -21,20 +21,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.fault_detection.detector import UnconfirmedStep
-from ship_estimation.plausibility.motion_check import MotionReference
-from ship_estimation.plausibility.value_checks import (
-    ROUNDING_SPREAD,
+from ship_estimation.plausibility.predictions import (
     JumpCheck,
     JumpDecision,
     PredictionBound,
     PredictionMatch,
-    StuckCheck,
     step_by_motion,
-    vector_length,
 )
+from ship_estimation.plausibility.stuck_check import ROUNDING_SPREAD, MotionReference, StuckCheck
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, vector_length
 from ship_geometry.tracks.sample_track import VectorTrack
 from ship_kernels import compiled_tracks
 from theodolite_calib.samples.samples import EncoderSample

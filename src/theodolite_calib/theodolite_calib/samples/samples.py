@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
@@ -15,9 +14,6 @@ from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_geometry.tracks.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.tracks.sample_track import VectorSample
 from ship_stars.solution.exposure import StarExposure
-
-StampArray = NDArray[np.int64]
-"""Stamps, ns."""
 
 
 class Mode(enum.IntEnum):

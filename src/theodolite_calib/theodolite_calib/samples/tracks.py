@@ -19,7 +19,7 @@ import numpy as np
 
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.tracks.attitude_track import AttitudeTrack
@@ -27,14 +27,7 @@ from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposu
 from ship_geometry.tracks.sample_track import SampleTrack, VectorTrack
 from ship_kernels import compiled_tracks
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.samples.samples import (
-    AnyExposure,
-    BaselineSample,
-    EncoderSample,
-    Exposure,
-    ShipSample,
-    StampArray,
-)
+from theodolite_calib.samples.samples import AnyExposure, BaselineSample, EncoderSample, Exposure, ShipSample
 from theodolite_calib.samples.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 
 _MAX_SOLUTIONS, _MIN_BEFORE_STEP = 14, 5

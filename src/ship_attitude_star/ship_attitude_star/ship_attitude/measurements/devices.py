@@ -18,7 +18,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import (
     LinearisationPoint,
 )
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
-from ship_estimation.plausibility.value_checks import StuckValue, largest_sigma
+from ship_estimation.plausibility.stuck_check import StuckValue, largest_sigma
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
