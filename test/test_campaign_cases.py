@@ -6,11 +6,12 @@ Each seed gives one error, at the end of its run. The bands contain 99.9 %, from
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.run import simulate
 from ship_simulation.suite_file import suite_configuration
 from ship_testing.campaign_cases import WITHOUT_RECORDING, case_at_length, case_in_short
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.trials.monte_carlo import final_error
 
 SEEDS = 50

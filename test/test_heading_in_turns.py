@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.motion_scenario import Turn
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.trials.monte_carlo import final_error
 
 SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "turn.yaml"

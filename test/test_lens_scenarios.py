@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_geometry.mount.image import Camera, Image
 from ship_geometry.mount.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
@@ -18,6 +18,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite_file import optical_axis_configuration
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from ship_testing.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors, theodolite_of
 from theodolite_calib.config import OpticalAxisConfig

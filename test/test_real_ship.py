@@ -13,7 +13,7 @@ import pytest
 
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_estimation.rejection_rules import Rejection
 from ship_replay.commands.replay import main as replay
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -21,6 +21,7 @@ from ship_stars.attitude_samples import AirReading, SkyInput
 from ship_stars.messages.surroundings_messages import position_fix
 from ship_stars.sky.config import SkyConfig
 from ship_stars.sky.surroundings import Surroundings
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.trials.monte_carlo import final_error
 
 ROOT = Path(__file__).parents[1]

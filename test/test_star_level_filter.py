@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.air.refraction import elevation_of, raised_directions
 from ship_geometry.earth.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
@@ -26,6 +26,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_stars.attitude_samples import AttitudeEstimate
 from ship_stars.sky.catalogue import hipparcos
 from ship_stars.sky.sky_model import ApparentStars, LocalSky, SkyModel
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.solved_voyages import run_with_solutions
 from ship_testing.trials.monte_carlo import core_for, feed_attitude, final_error
 

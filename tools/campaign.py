@@ -17,9 +17,10 @@ import numpy as np
 from rich.console import Console
 
 from ship_bags.command_line import with_count
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.scenario.scenario import Scenario
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.trials.monte_carlo import FinalError, final_error
 
 ROOT = Path(__file__).resolve().parents[1]

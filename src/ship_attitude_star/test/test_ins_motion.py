@@ -8,7 +8,6 @@ import pytest
 
 from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.star_directions import fixed_stars
@@ -17,6 +16,7 @@ from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import MountingConfig
 from ship_stars.solution.exposure import ExposureLength, StarExposure
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.small_voyage import attitude
 
 MS = 1_000_000

@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_estimation.innovations.gates import (
-    chi_square_gate,
-    mean_nees_band,
-    normalized_error_squared,
-    sigma_ratio_band,
-)
+from ship_estimation.innovations.gates import chi_square_gate, mean_nees_band, normalized_error_squared
+from ship_testing.consistency import sigma_ratio_band
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 6])

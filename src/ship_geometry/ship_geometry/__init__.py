@@ -158,7 +158,7 @@ Terms of the theodolite
         Module: theodolite_calib.optical_axis.calibration.
     Beacon, light
         Drone whose position is measured by RTK; the lamp on it that the telescope observes.
-        Module: theodolite_calib.beacon_camera.
+        Module: ship_geometry.mount.line_of_sight.
     Baseline
         Vector from the ship's antenna to the antenna of a beacon.
         Unit: m, n; module: theodolite_calib.samples.tracks.

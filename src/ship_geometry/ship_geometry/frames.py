@@ -20,6 +20,18 @@ SINGULAR_ELEVATION = np.deg2rad(89.9)
 
 Azimuth and roll cannot be separated there."""
 
+ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Rotation "(East, North, Up) from (North, Up, East)"."""
+
+FLU_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation "(forward, left, up) from (forward, up, right)"."""
+
+NED_FROM_HORIZON = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Rotation "(North, East, Down) from (North, Up, East)"."""
+
+FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Rotation "(forward, right, down) from (forward, up, right)"."""
+
 
 def rotation_from_angles(
     azimuth: float | FloatArray, elevation: float | FloatArray, roll: float | FloatArray
@@ -142,19 +154,6 @@ def rotation_vector_covariance(
     """
     transport = rotation_vector_from_angle_errors(azimuth, elevation)
     return transport @ covariance_angles @ np.swapaxes(transport, -1, -2)
-
-
-ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Rotation "(East, North, Up) from (North, Up, East)"."""
-
-FLU_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation "(forward, left, up) from (forward, up, right)"."""
-
-NED_FROM_HORIZON = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation "(North, East, Down) from (North, Up, East)"."""
-
-FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation "(forward, right, down) from (forward, up, right)"."""
 
 
 def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu") -> FloatArray:

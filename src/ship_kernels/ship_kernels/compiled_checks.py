@@ -163,42 +163,7 @@ def _is_checked(learns: cython.longlong, first_rad: cython.double) -> cython.bin
     return learns >= _SAMPLES_FOR_ONE or first_rad < INFINITY
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _set(
-    weights: cython.const[cython.double][:, :],
-    least_rad: cython.const[cython.double][:],
-    shares: cython.const[cython.double][:],
-    high: cython.const[cython.double][:],
-    learns: cython.longlong,
-    coarse_rad: cython.double,
-    apparent_step_rad: cython.double,
-    first_rad: cython.double,
-    bounds: cython.double[:],
-    scaled: cython.double[:, :],
-) -> cython.void:
-    """Set the bounds; arguments as for :func:`set_bounds`."""
-    bound: cython.double
-    learnt: cython.double
-    p: cython.Py_ssize_t
-    m: cython.Py_ssize_t
-    for p in range(weights.shape[0]):
-        learnt = _TYPICAL * sqrt(sqrt(sqrt(high[p]))) * shares[p]
-        bound = least_rad[p]
-        # A bound of NaN stays NaN.
-        if not learnt <= bound:
-            bound = learnt
-        bound += coarse_rad + apparent_step_rad
-        # An infinite bound is not used, because the ratio of a step to this bound would be zero in the statistics.
-        if p == 0 and learns < _SAMPLES_FOR_ONE and bound < first_rad < INFINITY:
-            bound = first_rad
-        if learns < _SAMPLES_FOR_MEANS and not (p == 0 and _is_checked(learns, first_rad)):
-            bound += _NO_BOUND_RAD
-        bounds[p] = bound
-        for m in range(weights.shape[1]):
-            scaled[p, m] = weights[p, m] / bound
-
-
+@cython.ccall
 def set_bounds(
     weights: cython.const[cython.double][:, :],
     least_rad: cython.const[cython.double][:],
@@ -210,7 +175,7 @@ def set_bounds(
     first_rad: cython.double,
     bounds: cython.double[:],
     scaled: cython.double[:, :],
-):
+) -> cython.bint:
     """Set the bounds of the apparent steps that the errors of good samples cause.
 
     Args:
@@ -232,8 +197,26 @@ def set_bounds(
     places: cython.Py_ssize_t = weights.shape[0]
     check("bounds", least_rad.shape[0] == shares.shape[0] == bounds.shape[0] == places and high.shape[0] >= places)
     check("scaled", scaled.shape[0] == places and scaled.shape[1] == weights.shape[1])
-    _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
-    return bool(_is_checked(learns, first_rad))
+    bound: cython.double
+    learnt: cython.double
+    p: cython.Py_ssize_t
+    m: cython.Py_ssize_t
+    for p in range(places):
+        learnt = _TYPICAL * sqrt(sqrt(sqrt(high[p]))) * shares[p]
+        bound = least_rad[p]
+        # A bound of NaN stays NaN.
+        if not learnt <= bound:
+            bound = learnt
+        bound += coarse_rad + apparent_step_rad
+        # An infinite bound is not used, because the ratio of a step to this bound would be zero in the statistics.
+        if p == 0 and learns < _SAMPLES_FOR_ONE and bound < first_rad < INFINITY:
+            bound = first_rad
+        if learns < _SAMPLES_FOR_MEANS and not (p == 0 and _is_checked(learns, first_rad)):
+            bound += _NO_BOUND_RAD
+        bounds[p] = bound
+        for m in range(weights.shape[1]):
+            scaled[p, m] = weights[p, m] / bound
+    return _is_checked(learns, first_rad)
 
 
 @cython.cfunc
@@ -344,7 +327,9 @@ def accepted_on_line(
             break
         if not abs(step_rad - last_apparent_step_rad) <= apparent_step_rad:
             apparent_step_rad = 1.5 * abs(step_rad - last_apparent_step_rad)
-            _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
+            set_bounds(
+                weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled
+            )
         for i in range(3):
             kept[end + taken, i] = rows[taken, i]
         _step_sizes(scaled, kept, end + taken + 1 - length, sizes[taken & 1])
@@ -360,7 +345,9 @@ def accepted_on_line(
             _learn(sizes[taken & 1], bounds, learns, high)
             if learns % SET_EVERY == 0:
                 apparent_step_rad *= FORGET
-                _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
+                set_bounds(
+                    weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled
+                )
         taken += 1
     return taken, of_sizes[(taken - 1) & 1], last_apparent_step_rad, apparent_step_rad, since_learnt, learns
 

@@ -1,10 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled time and measurement update of a Kalman filter with subfilters and with covariances by error source.
 
-This is the only implementation of these steps. It is Python with C types, compiled by Cython when the package is built.
-The implementation works for any number of states, sources, filters and residuals. The functions are documented where
-they are called, in :mod:`ship_estimation.kalman.kalman_filter` and :mod:`ship_estimation.fault_detection.subfilters`;
-the tests compare the functions with plain numpy.
+The steps work for any number of states, sources, filters and residuals. The functions are documented where they are
+called, in :mod:`ship_estimation.kalman.kalman_filter` and :mod:`ship_estimation.fault_detection.subfilters`.
 
 A measurement with Jacobian H, gain K and noise N changes a covariance P to (I - K H) P (I - K H)ᵀ + K N Kᵀ. The matrix
 I - K H is never formed. Instead P is multiplied by the two thin factors of K H, which needs a fifth of the operations

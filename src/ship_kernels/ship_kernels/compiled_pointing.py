@@ -1,9 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled axis geometry of a two-axis mount on a ship, for one or many readings of its encoders.
 
-There is no other implementation. The module is Python with C types; Cython compiles it when the package is built. R is
-the measured attitude of the ship (horizon n from deck d) and ω the ship's angular rate in d. The main frame m of the
-mount (optical axis, up, right) is
+R is the measured attitude of the ship (horizon n from deck d) and ω the ship's angular rate in d. The main frame m of
+the mount (optical axis, up, right) is
 
     R_nm = exp(a) R exp(-τ ω) · exp(e) · T Ry(A - g) Rx(I) Rz(-(E - h + f cos E)) Ry(-c),   T = exp((βy, 0, -βx))
 
@@ -21,7 +20,7 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import NAN, cos, exp, sin, sqrt
-from cython.cimports.ship_kernels.compiled_rotations import _exponential, _jacobian, _times
+from cython.cimports.ship_kernels.compiled_rotations import _copy, _exponential, _jacobian, _times
 
 _ERRORS = cython.declare(cython.int, 14)
 _CORRELATED = cython.declare(cython.int, 6)
@@ -456,17 +455,6 @@ def totals(
 
 
 _COLUMNS = cython.declare(cython.int, 19)
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-def _copy(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
-    """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
-    i: cython.int
-    j: cython.int
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] = matrix[i, j]
 
 
 @cython.cfunc

@@ -2,8 +2,8 @@
 """Compiled rotations and angles of attitudes, mostly of single ones, because a live node mostly computes these.
 
 Numpy is efficient for arrays only. :mod:`ship_geometry.rotations` has the exponential, its Jacobian and the logarithm
-for arrays; angles and quaternions are described in :mod:`ship_geometry.frames` and :mod:`ship_geometry.frames`. The
-tests compare the results with these array functions.
+for arrays, with which the tests compare these functions. Angles and quaternions are described in
+:mod:`ship_geometry.frames`.
 """
 
 import cython

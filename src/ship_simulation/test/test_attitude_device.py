@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
@@ -15,6 +15,7 @@ from ship_simulation.scenario.motion_scenario import AngleMotion, Outage
 from ship_simulation.scenario.scenario import Ins, Position, Reference, Scenario, StarSensor
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.motion import make_carrier
+from ship_testing.consistency import sigma_ratio_band
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 QUIET_INS = Ins(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.messages.message_stream import generate_messages
@@ -14,6 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.theodolite.run import draw_parallelism
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.paper_stars import with_exact_optics
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_simulation.random_draws import (
     CorrelatedError,
@@ -15,6 +14,7 @@ from ship_simulation.random_draws import (
     split_voyage,
 )
 from ship_simulation.scenario.scenario import start_time_ns
+from ship_testing.consistency import sigma_ratio_band
 
 
 def assert_sigma(values, sigma):

@@ -9,7 +9,6 @@ import pytest
 import skyfield_data
 from skyfield.api import Loader, wgs84
 
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.air.refraction import elevation_of
 from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_geometry.earth.geodetic import GeodeticPosition
@@ -20,6 +19,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.ship.ship_track import ShipTrack
 from ship_simulation.stars.sky import draw_sky, position_of_date
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.horizon_vectors import vector_between
 from ship_testing.paper_stars import paper_stars, with_position
 

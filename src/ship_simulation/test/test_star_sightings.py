@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.air.refraction import refraction
 from ship_geometry.earth.time_scales import SECOND_NS, julian_date
 from ship_geometry.frames import rotation_from_angles
@@ -16,6 +16,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.motion import make_carrier
 from ship_stars.sky.deck_masks import MaskConfig
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
 MAS = 1e-3 * ARCSEC

@@ -6,7 +6,6 @@ import numpy as np
 
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.frames import ENU_FROM_HORIZON, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.messages.message_stream import generate_messages
@@ -14,6 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.theodolite.devices import _true_detector
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_theodolite, without_errors
 
 IMAGE, TRUTH, POINTING = "theodolite/target", "truth/target_direction", "truth/pointing"

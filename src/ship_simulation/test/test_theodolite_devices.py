@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_simulation.random_draws import CorrelatedError, random_stream
@@ -13,6 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.theodolite.devices import FIXED, FLOAT, NONE, points_on_detector
 from ship_simulation.theodolite.scene import draw_theodolite
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
 
 SEEDS = 400

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_simulation.scenario.scenario import Detector
 from ship_simulation.stars.true_camera import draw_optics
 from ship_stars.camera.camera import StarCamera
+from ship_testing.consistency import sigma_ratio_band
 
 DETECTOR = Detector(
     focal_length_m=0.05,

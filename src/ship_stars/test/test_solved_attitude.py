@@ -17,7 +17,7 @@ from ship_attitude_star.messages.input_messages import star_measurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Measurement, Status
@@ -29,6 +29,7 @@ from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
 from ship_stars.solution.exposure import StarExposure
 from ship_testing.adapter_runs import FACTORY, START_NS, Arrival, sort_by_arrival
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.ship_observations import SENSORS as OBSERVING
 from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, Run

@@ -10,7 +10,7 @@ import pytest
 from ship_attitude_star.adapters.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
@@ -20,6 +20,7 @@ from ship_simulation.suite_file import suite_configuration
 from ship_studies.installation.result import InstallationCalibration, calibrate
 from ship_studies.installation.session import Session
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.trials.monte_carlo import core_for, feed_attitude
 
 SEEDS = int(os.environ.get("SEEDS", "16"))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_studies.layout.installation_model import (
@@ -13,6 +13,7 @@ from ship_studies.layout.installation_model import (
     linearise,
     ship_rotation,
 )
+from ship_testing.consistency import sigma_ratio_band
 
 BOTH = pytest.mark.parametrize("reading", list(InstallationConvention))
 

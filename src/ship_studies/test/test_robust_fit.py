@@ -6,13 +6,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.mount.axes import NAMES, AxisErrors, direction_change
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_studies.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from ship_studies.axis_fit.robust_fit import PRIOR_SIGMAS, _root_of_inverse, fit, rms, sizes
 from ship_studies.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, random_angles, simulate_sightings
+from ship_testing.consistency import sigma_ratio_band
 
 SEEDS = 200
 

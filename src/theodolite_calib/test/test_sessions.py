@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import sigma_ratio_band
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.simulated_session import BEACONS_DEG, Session, config, session, sweep
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState

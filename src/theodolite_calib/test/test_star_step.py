@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.innovations.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
@@ -18,6 +18,7 @@ from ship_stars.sky.sky_model import SkyModel
 from ship_stars.solution.exposure import ExposureLength, reduce_to_mid_exposure
 from ship_stars.solution.fit import square_roots
 from ship_stars.solution.selection import StarPrior
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.mount_stars import (
     CAMERA_ID,
     STAR_SIGMA,

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.mount.image import Camera
 from ship_geometry.mount.line_of_sight import LeverArm
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
+from ship_testing.consistency import sigma_ratio_band
 from ship_testing.simulated_sightings import (
     BEACONS_DEG,
     CAMERA,

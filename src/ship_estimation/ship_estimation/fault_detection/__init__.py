@@ -1,1 +1,1 @@
-"""Fault detection and exclusion: subfilters, windowed innovation means, isolation, unconfirmed steps."""
+"""Fault detection and exclusion: subfilters, innovation means, isolation, detector, errors common to all stars."""

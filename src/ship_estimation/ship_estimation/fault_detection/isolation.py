@@ -48,6 +48,19 @@ _ZERO_NOISE = np.zeros((3, 3))
 INITIAL_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
 """Windowed means of one filter and source before any measurement, as in :attr:`InnovationMeans.running`."""
 
+MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
+"""Maximum age of a source's last measurement for it to count in fault isolation, ns."""
+
+_CHI2_MARGIN = 0.6
+"""Minimum margin of an isolation: the largest excess of every other subfilter must be larger by at least this margin.
+
+The excess is the ratio of chi² of an innovation mean to its limit. With the usual limits the margin is a likelihood
+ratio of 75 000. A drifting source is tested at hundreds of measurements before it is isolated. With a likelihood ratio
+of 2 000 a healthy sensor was therefore excluded in six of 40 voyages."""
+
+_SEPARATION_RATIO = 1.3
+"""Minimum ratio of the largest solution separation to the second largest if no innovation isolates the fault."""
+
 
 @dataclass(frozen=True)
 class InnovationMeans:
@@ -197,20 +210,6 @@ def cleared_means(
     return replace(means, **cleared)
 
 
-MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
-"""Maximum age of a source's last measurement for it to count in fault isolation, ns."""
-
-_CHI2_MARGIN = 0.6
-"""Minimum margin of an isolation: the largest excess of every other subfilter must be larger by at least this margin.
-
-The excess is the ratio of chi² of an innovation mean to its limit. With the usual limits the margin is a likelihood
-ratio of 75 000. A drifting source is tested at hundreds of measurements before it is isolated. With a likelihood ratio
-of 2 000 a healthy sensor was therefore excluded in six of 40 voyages."""
-
-_SEPARATION_RATIO = 1.3
-"""Minimum ratio of the largest solution separation to the second largest if no innovation isolates the fault."""
-
-
 @dataclass(frozen=True)
 class FaultIsolation:
     """Result of fault detection and isolation.
@@ -258,8 +257,6 @@ def isolate_fault(
         The three filters use both sources, only the second and only the first. Every filter that uses the first source
         is inconsistent with that source, so the first source is faulty:
 
-        >>> from dataclasses import replace
-        >>> from ship_estimation.fault_detection.isolation import initial_means
         >>> excess, measured_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
         >>> means = replace(initial_means(3, 2), excess=excess, last_measured_ns=measured_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
@@ -304,7 +301,6 @@ def is_consistent_with_all(
     """True if the main filter is consistent with every tested source, by the criterion of :func:`isolate_fault`.
 
     Example:
-        >>> from ship_estimation.fault_detection.isolation import initial_means
         >>> is_consistent_with_all(initial_means(subfilters=3, sources=2), degraded_after=3)
         True
     """

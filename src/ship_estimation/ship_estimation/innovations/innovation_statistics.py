@@ -54,6 +54,11 @@ _MEDIAN_SIGMA = math.sqrt(0.5 * math.pi)
 _SIGMA_OF_SPREAD = 1.4826
 """Ratio of the sigma of normal values to their median absolute deviation."""
 
+_SINGLE_NUMBERS = 5
+"""Number of columns of an :class:`InnovationTable` before the columns of the axes."""
+
+_NO_AXIS = (math.nan, math.nan)
+
 
 class Innovation(NamedTuple):
     """Innovation of one measurement.
@@ -105,7 +110,7 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
         return None  # unknown covariance
     groups = _groups(decision.components)
     found = compiled_innovations.innovation_statistics(
-        decision.residual, decision.covariance, decision.noise, *groups[:4]
+        decision.residual, decision.covariance, decision.noise, *groups[:3], len(groups.axes)
     )
     if found is None:
         return None  # NaN, or a covariance that is not positive definite
@@ -129,7 +134,6 @@ class _Groups(NamedTuple):
         part_of: index of the part of each component, shape (m,).
         axis_of: index of the axis of each component, shape (m,).
         parts: number of parts.
-        axis_count: number of axes.
         axes: names of the axes.
         degrees: number of components of the first part.
     """
@@ -137,7 +141,6 @@ class _Groups(NamedTuple):
     part_of: NDArray[np.intp]
     axis_of: NDArray[np.intp]
     parts: int
-    axis_count: int
     axes: tuple[str, ...]
     degrees: int
 
@@ -150,12 +153,7 @@ def _groups(components: tuple[str, ...]) -> _Groups:
     axes = tuple(dict.fromkeys(axis for _, _, axis in names))
     part_of = np.array([parts.index(part) for part, _, _ in names], dtype=np.intp)
     axis_of = np.array([axes.index(axis) for _, _, axis in names], dtype=np.intp)
-    return _Groups(part_of, axis_of, len(parts), len(axes), axes, int(np.count_nonzero(part_of == 0)))
-
-
-_SINGLE_NUMBERS = 5
-"""Number of columns of an :class:`InnovationTable` before the columns of the axes."""
-_NO_AXIS = (math.nan, math.nan)
+    return _Groups(part_of, axis_of, len(parts), axes, int(np.count_nonzero(part_of == 0)))
 
 
 class InnovationTable:

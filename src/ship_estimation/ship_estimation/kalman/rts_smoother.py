@@ -29,6 +29,12 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 
+_MOST_AT_ONCE = 1000
+"""Maximum number of times between two links that are predicted together."""
+
+_ROUNDING = 1e-9
+"""Size of a negative eigenvalue that counts as zero in a difference of two normalised covariances."""
+
 
 class GaussianEstimate(NamedTuple):
     """A Gaussian estimate of r quantities, or several such estimates, with mean (..., r) and covariance (..., r, r)."""
@@ -93,12 +99,6 @@ def _inverse(covariance: FloatArray) -> FloatArray:
 Given = TypeVar("Given")
 """Further input of the prediction, besides an estimate and its time."""
 GivenOut = TypeVar("GivenOut", covariant=True)
-
-_MOST_AT_ONCE = 1000
-"""Maximum number of times between two links that are predicted together."""
-
-_ROUNDING = 1e-9
-"""Size of a negative eigenvalue that counts as zero in a difference of two normalised covariances."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Parameters: configurations as frozen dataclasses, and the schemas that several packages share."""
+"""Parameters: configurations as frozen dataclasses, their fields, and devices that nodes and scenarios share."""

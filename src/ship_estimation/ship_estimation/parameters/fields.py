@@ -205,7 +205,6 @@ def publish_tf() -> Any:
     """Return the parameter ``publish_tf`` of a node that publishes transforms.
 
     Example:
-        >>> import dataclasses
         >>> @dataclasses.dataclass(frozen=True)
         ... class Node:
         ...     publish_tf: bool = publish_tf()

@@ -25,6 +25,13 @@ _MAX_NAMES = 8
 _CLOSEST_COUNT = 3
 """Number of closest names in an error text if there are more than :data:`_MAX_NAMES`."""
 
+_WIDTH = 120
+
+_WIDEST = 24
+"""Maximum width of a column between the first and the last; a wider cell does not widen the column."""
+
+_BELOW = " " * 6
+
 
 class ParameterError(InputError):
     """Error of a parameter, for example an unknown name, a missing parameter or a value out of its range.
@@ -138,17 +145,8 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
         >>> flatten(GateConfig(), prefix="gate.")["gate.reopen_factor"]
         100.0
     """
-    flat: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        value, name = getattr(config, field.name), prefix + _name(field)
-        if isinstance(value, dict):
-            for key, entry in value.items():
-                flat |= flatten(entry, f"{name}.{key}.")
-        elif dataclasses.is_dataclass(value):
-            flat |= flatten(value, name + ".")
-        else:
-            flat[name] = list(value) if isinstance(value, tuple) else value
-    return flat
+    leaves = _leaves(config, prefix)
+    return {name: list(value) if isinstance(value, tuple) else value for name, value, _ in leaves}
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -163,7 +161,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
         0.999
     """
     flat = flatten(config)
-    live = _live_names(config)
+    live = {name for name, _, field in _leaves(config) if field.metadata["live"]}
     for name in changes:
         if name not in flat:
             raise ParameterError(f"parameter '{name}' is unknown: {_suggestion(name, flat)}", name)
@@ -179,18 +177,17 @@ def _name(field: "dataclasses.Field[Any]") -> str:
     return field.name.removesuffix("_")
 
 
-def _live_names(config: Any, prefix: str = "") -> set[str]:
-    names: set[str] = set()
+def _leaves(config: Any, prefix: str = "") -> Iterator[tuple[str, Any, "dataclasses.Field[Any]"]]:
+    """Yield dotted name, value and field of every parameter of a configuration."""
     for field in dataclasses.fields(config):
         value, name = getattr(config, field.name), prefix + _name(field)
         if isinstance(value, dict):
             for key, entry in value.items():
-                names |= _live_names(entry, f"{name}.{key}.")
+                yield from _leaves(entry, f"{name}.{key}.")
         elif dataclasses.is_dataclass(value):
-            names |= _live_names(value, name + ".")
-        elif field.metadata["live"]:
-            names.add(name)
-    return names
+            yield from _leaves(value, name + ".")
+        else:
+            yield name, value, field
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
@@ -308,12 +305,6 @@ def _check_scalar(
             f"{shown} = {value!r} must be one of {', '.join(metadata['choices'])}", name, value=value
         )
     return value
-
-
-_WIDTH = 120
-_WIDEST = 24
-"""Maximum width of a column between the first and the last; a wider cell does not widen the column."""
-_BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:

@@ -17,6 +17,9 @@ _SQRT_HOUR = 60.0
 _HOUR_S = 3600.0
 _RADIUS_M = 6_371_000.0
 
+JUMP_SAMPLES = 5
+"""Default number of rejected, mutually consistent values after which a jump is accepted."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class InsErrors:
@@ -136,10 +139,6 @@ class InsErrorModel:
         choices=(GAUSS_MARKOV, SCHULER),
     )
     schuler: SchulerConfig = section(SchulerConfig)
-
-
-JUMP_SAMPLES = 5
-"""Default number of rejected, mutually consistent values after which a jump is accepted."""
 
 
 @dataclass(frozen=True, kw_only=True)

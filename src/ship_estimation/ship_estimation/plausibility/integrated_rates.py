@@ -60,7 +60,6 @@ class IntegratedRun(NamedTuple):
 class RateIntegrator:
     """Integrates the rates of one INS in the order of their stamps.
 
-    >>> from ship_geometry.rotations import log_rotation
     >>> integrator = RateIntegrator()
     >>> integrated = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
     >>> print(log_rotation(integrated[-1].rotation).round(6) + 0.0)
@@ -167,7 +166,6 @@ class RateConsistencyCheck:
         slope: ratio of the rotation by the rates to the rotation by the attitude, if the unit is wrong.
         due_ns: stamp before which no sample can end the piece of motion; zero if the next sample may.
 
-    >>> from ship_estimation.plausibility.integrated_rates import RateIntegrator
     >>> from ship_geometry.rotations import exp_rotation
     >>> guard, integrator = RateConsistencyCheck(), RateIntegrator()
     >>> for n in range(10):

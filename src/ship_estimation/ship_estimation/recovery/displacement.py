@@ -34,6 +34,9 @@ _AT_REST, _DISPLACED = 0, 1
 _UNKNOWN_RAD2 = 1.0
 """Variance of each component of a new displacement, rad²."""
 
+TOGETHER = "all together"
+"""Name of the displacement that all sources have in common."""
+
 
 class MemoryResidual(NamedTuple):
     """A measurement of a source against a stored state.
@@ -253,10 +256,6 @@ def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
 def _square(turn: FloatArray, covariance: FloatArray) -> float:
     """Return the squared length of a rotation vector in its standard deviations."""
     return float(turn @ np.linalg.solve(covariance, turn))
-
-
-TOGETHER = "all together"
-"""Name of the displacement that all sources have in common."""
 
 
 class Displacements:

@@ -18,6 +18,9 @@ from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")
 
+MAX_JUMPS = 100
+"""Maximum number of jumps stored until :meth:`Consistency.take_jumps`, which is called once a second."""
+
 
 def with_shifted_stamps(value: Value, step_ns: int) -> Value:
     """Return a copy of an immutable value in which every field named ``…_ns`` is shifted by a step.
@@ -63,10 +66,6 @@ def _shifted_stamps(value: Any, step_ns: int) -> Any:
     if isinstance(value, np.ndarray):
         return np.where(value == NEVER_NS, value, value + step_ns)
     return value + step_ns
-
-
-MAX_JUMPS = 100
-"""Maximum number of jumps stored until :meth:`Consistency.take_jumps`, which is called once a second."""
 
 
 class Jump(Protocol):

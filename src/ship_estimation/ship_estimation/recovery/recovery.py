@@ -28,6 +28,27 @@ from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 
+ENDS_AFTER_NS = 30 * SECOND_NS
+"""Time without a sign of trouble after which trouble ends, ns."""
+
+LEAST_AGE_NS = 10 * SECOND_NS
+"""Minimum age, at the first sign of trouble, of a stored state, ns; a fault may act before its detection."""
+
+BEFORE_STEP_NS = 2 * SECOND_NS
+"""Minimum age, at the first sign of trouble, of the state against which displacements are measured, ns.
+
+This age is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
+seconds."""
+
+MIN_CONSISTENT_NS = ENDS_AFTER_NS
+"""Minimum time of consistency before a state is used, ns; an earlier state may contain a fault."""
+
+MEMORY_SIGMAS = 3.0
+"""Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
+
+_LEAST_IN_AGREEMENT = 2
+"""Minimum number of available sources, the INS included, that the second estimator does not exclude."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryConfig:
@@ -48,10 +69,6 @@ class RecoveryConfig:
         minimum=10.0,
         maximum=1e6,
     )
-
-
-ENDS_AFTER_NS = 30 * SECOND_NS
-"""Time without a sign of trouble after which trouble ends, ns."""
 
 
 class TroubleDetector:
@@ -96,18 +113,6 @@ class TroubleDetector:
 
 
 State = TypeVar("State")
-
-LEAST_AGE_NS = 10 * SECOND_NS
-"""Minimum age, at the first sign of trouble, of a stored state, ns; a fault may act before its detection."""
-
-BEFORE_STEP_NS = 2 * SECOND_NS
-"""Minimum age, at the first sign of trouble, of the state against which displacements are measured, ns.
-
-This age is shorter than :data:`LEAST_AGE_NS`, because a step is detected at once and the INS drifts little in two
-seconds."""
-
-MIN_CONSISTENT_NS = ENDS_AFTER_NS
-"""Minimum time of consistency before a state is used, ns; an earlier state may contain a fault."""
 
 
 class StateMemory(Generic[State]):
@@ -156,13 +161,6 @@ class StateMemory(Generic[State]):
     def forget_newer(self, state: State | None) -> None:
         """Drop all states but a recalled state, because later states may already contain the fault."""
         self._kept = deque(kept for kept in self._kept if kept[1] is state)
-
-
-MEMORY_SIGMAS = 3.0
-"""Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
-
-_LEAST_IN_AGREEMENT = 2
-"""Minimum number of available sources, the INS included, that the second estimator does not exclude."""
 
 
 class SecondEstimator:

@@ -108,8 +108,7 @@ class Outcome(Generic[DecisionT, Estimate]):
         rejection: rejection of this input, or of the conflicting input that this input replaces; None if no input was
             rejected now.
         decisions: decisions made now, about this input or about measurements that waited for this input.
-        estimates: estimates to publish. The stamps of valid estimates strictly increase
-            (:class:`ship_estimation.time_order.outcome.OutputSequence`).
+        estimates: estimates to publish. The stamps of valid estimates strictly increase (:class:`OutputSequence`).
         failures: stamp and rejection of each output that could not be computed because the software failed.
     """
 

@@ -42,6 +42,9 @@ State = TypeVar("State")
 MeasurementT = TypeVar("MeasurementT", bound=Measurement)
 Jump = TypeVar("Jump")
 
+_MOST_AHEAD_NS = SECOND_NS // 10
+"""Bound of the time by which an accepted stamp is ahead of its arrival, ns, with a factor of two as margin."""
+
 
 class LagWindow:
     """Window of accepted stamps, which begins ``lag_s`` before the newest data.
@@ -69,10 +72,6 @@ class LagWindow:
         """Advance the window to data with a stamp."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
-
-
-_MOST_AHEAD_NS = SECOND_NS // 10
-"""Bound of the time by which an accepted stamp is ahead of its arrival, ns, with a factor of two as margin."""
 
 
 def is_within_lag(times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float) -> NDArray[np.bool_]:

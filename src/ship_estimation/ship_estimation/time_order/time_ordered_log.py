@@ -70,24 +70,20 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         state: the state before any measurement.
 
     Attributes:
+        base: the committed state, before the first measurement of the window.
         state: state after the last measurement applied by :meth:`apply`.
         pending_count: number of measurements not applied yet.
         oldest_ns: time of the first measurement that is not committed; None without measurements.
     """
 
     def __init__(self, state: State) -> None:
-        self._base = self.state = state
+        self.base = self.state = state
         self._keys: list[Key] = []
         self._entries: list[_Entry[State, Item, AnyDecision]] = []
         self.pending_count = 0
         self.oldest_ns: int | None = None
         self._repeats = _RateLimit(MOST_REPEATS_PER_S)
         self._overtaking_limits: dict[Any, _RateLimit] = {}
-
-    @property
-    def base(self) -> State:
-        """The committed state, before the first measurement of the window."""
-        return self._base
 
     @property
     def is_behind(self) -> bool:
@@ -195,7 +191,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied_count)
         closed = self.states(count)
         if count:
-            self._base = closed[-1]
+            self.base = closed[-1]
             del self._keys[:count]
             del self._entries[:count]
             self.oldest_ns = self._keys[0][0] if self._keys else None
@@ -216,7 +212,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
 
     def _state_before(self, index: int) -> State:
         if index == 0:
-            return self._base
+            return self.base
         state = self._entries[index - 1].state_after
         assert state is not None  # applied entries always have their state
         return state

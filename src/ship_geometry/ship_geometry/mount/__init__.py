@@ -1,7 +1,7 @@
 """Geometry of a theodolite with beacons: mount, calibration telescope, image and lines of sight.
 
-- ``axes`` gives the main axis from the ship's attitude, encoders and axis errors, and the inverse.
-- ``parallelism`` gives the telescope's attitude from that of the main frame.
+- ``axes`` gives the main axis from the ship's attitude, encoders and axis errors, and the inverse; and the telescope's
+  attitude from that of the main frame.
 - ``image`` relates points on the detector to directions.
 - ``line_of_sight`` gives the directions to the beacons, with the propagation of their errors.
 """

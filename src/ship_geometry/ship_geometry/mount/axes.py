@@ -38,6 +38,17 @@ Angle = float | FloatArray
 # or less, so that three steps reduce the error of a flexure of 0.1 rad to about 1e-17 rad.
 _FLEXURE_STEPS = 3
 
+_AZIMUTH, _ELEVATION = range(2)
+
+SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
+"""Slices of the vector of all errors.
+
+- SHIP: rotation vector a of the error of the ship's attitude in n, rad.
+- DEFORMATION: rotation vector e of the deformation in d, rad.
+- AXES: the axis errors in the order of :data:`NAMES`, rad.
+- SHIP_TIME: true minus assumed time of the samples of the ship's attitude, s.
+"""
+
 
 @dataclass(frozen=True)
 class AxisErrors:
@@ -87,7 +98,6 @@ NAMES = tuple(field.name for field in fields(AxisErrors))
 """Names of the axis errors, in the order of the vector form and of the Jacobian's columns."""
 
 _G, _H, _C, _I, _BETA_X, _BETA_Y, _FLEXURE = range(len(NAMES))
-_AZIMUTH, _ELEVATION = range(2)
 
 
 @dataclass(frozen=True)
@@ -161,16 +171,6 @@ def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArr
                [1., 0.]])
     """
     return -skew(direction) @ by_rotation
-
-
-SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
-"""Slices of the vector of all errors.
-
-- SHIP: rotation vector a of the error of the ship's attitude in n, rad.
-- DEFORMATION: rotation vector e of the deformation in d, rad.
-- AXES: the axis errors in the order of :data:`NAMES`, rad.
-- SHIP_TIME: true minus assumed time of the samples of the ship's attitude, s.
-"""
 
 
 @dataclass(frozen=True)
@@ -329,7 +329,6 @@ def telescope_rotation(parallelism: FloatArray, rotation_nm: FloatArray) -> tupl
     Example:
         The main axis is 0.1 rad to the right in the telescope, so that the telescope points to its left:
 
-        >>> import numpy as np
         >>> rotation_nt, _ = telescope_rotation(np.array([0.1, 0.0, 0.0]), np.eye(3))
         >>> print(rotation_nt[:, 0].round(3)[[0, 2]])  # forward, right
         [ 0.995 -0.1  ]

@@ -42,8 +42,8 @@ class Camera:
 
     def points(self, direction_t: FloatArray) -> FloatArray:
         """Return the detector points of vectors of any length, shape (..., N, 2); NaN behind the telescope."""
-        forward = _forward_component(direction_t)
-        scale = -_per_beacon(self.focal_length_m) / forward
+        forward = direction_t[..., 0]
+        scale = -_per_beacon(self.focal_length_m) / np.where(forward > 0.0, forward, np.nan)
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
 
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
@@ -253,8 +253,3 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 def _per_beacon(value: FloatArray | float) -> FloatArray:
     """Return a quantity of each exposure, shape (...), with an additional axis for the beacons, shape (..., 1)."""
     return np.asarray(value, dtype=float)[..., None]
-
-
-def _forward_component(direction_t: FloatArray) -> FloatArray:
-    forward = direction_t[..., 0]
-    return np.where(forward > 0.0, forward, np.nan)

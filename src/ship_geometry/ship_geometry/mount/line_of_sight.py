@@ -25,6 +25,26 @@ from ship_kernels import compiled_pointing
 EARTH_RADIUS_M = 6_371_000.0
 """Mean radius of the Earth, m; its error is negligible against the error of the refraction coefficient."""
 
+BASELINE, LEVER, PRINCIPAL_POINT, BEACON_LEVER, SHIP_ROTATION, DRONE_ROTATION, REFRACTION = (
+    *(slice(start, start + 3) for start in range(0, 18, 3)),
+    slice(18, 19),
+)
+"""Columns of :attr:`LinesOfSight.jacobian_n`."""
+
+TERM_COLUMNS = {
+    "rtk_noise": BASELINE,
+    "rtk_bias": BASELINE,
+    "rtk_base": BASELINE,
+    "theodolite_lever": LEVER,
+    "principal_point": PRINCIPAL_POINT,
+    "light_lever": BEACON_LEVER,
+    "ship_attitude": SHIP_ROTATION,
+    "drone_attitude": DRONE_ROTATION,
+    "refraction": REFRACTION,
+    "light_refraction": REFRACTION,
+}
+"""Columns of each error term in :attr:`LinesOfSight.jacobian_n`."""
+
 
 @dataclass(frozen=True)
 class LeverArm:
@@ -127,27 +147,6 @@ class ErrorTerm:
             rows = self.jacobian_n.reshape(*leading, 3 * beacon_count, -1)
             return rows @ self.covariance @ np.swapaxes(rows, -1, -2)
         return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
-
-
-BASELINE, LEVER, PRINCIPAL_POINT, BEACON_LEVER, SHIP_ROTATION, DRONE_ROTATION, REFRACTION = (
-    *(slice(start, start + 3) for start in range(0, 18, 3)),
-    slice(18, 19),
-)
-"""Columns of :attr:`LinesOfSight.jacobian_n`."""
-
-TERM_COLUMNS = {
-    "rtk_noise": BASELINE,
-    "rtk_bias": BASELINE,
-    "rtk_base": BASELINE,
-    "theodolite_lever": LEVER,
-    "principal_point": PRINCIPAL_POINT,
-    "light_lever": BEACON_LEVER,
-    "ship_attitude": SHIP_ROTATION,
-    "drone_attitude": DRONE_ROTATION,
-    "refraction": REFRACTION,
-    "light_refraction": REFRACTION,
-}
-"""Columns of each error term in :attr:`LinesOfSight.jacobian_n`."""
 
 
 @dataclass(frozen=True)

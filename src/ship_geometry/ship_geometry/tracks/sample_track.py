@@ -168,8 +168,7 @@ class SampleTrack(OrderedSamples[Sample]):
     """Samples of one source, for cubic interpolation by a derived class.
 
     The slopes of the cubic are measured rates, or differences of the neighbouring samples. Derived classes are
-    :class:`ship_geometry.tracks.attitude_track.AttitudeTrack` and
-    :class:`ship_geometry.tracks.sample_track.VectorTrack`.
+    :class:`VectorTrack` and :class:`ship_geometry.tracks.attitude_track.AttitudeTrack`.
 
     Args:
         max_gap_ns: maximum interval between two samples for interpolation.
@@ -177,7 +176,6 @@ class SampleTrack(OrderedSamples[Sample]):
     Example:
         Samples arrive in any order:
 
-        >>> from ship_geometry.tracks.sample_track import VectorSample, VectorTrack
         >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
         >>> for second in (0, 2, 1, 3):
         ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
