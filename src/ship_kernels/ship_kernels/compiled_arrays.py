@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled check of array shapes, for the modules whose loops do not check bounds, and reading of text tables.
 
 The reading is described at its caller, :mod:`ship_geometry.text_tables`.
@@ -53,8 +54,6 @@ def plain_numbers(records: cython.const[cython.uchar][:, :], columns: cython.con
     of_plain = np.zeros((columns.shape[0], records.shape[0]), dtype=bool)
     numbers: cython.double[:, ::1] = of_numbers
     plain: cython.uchar[:, ::1] = of_plain.view(np.uint8)
-    row: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     check("columns", columns.shape[1] == 2)
     for c in range(columns.shape[0]):
         check("columns", 1 <= columns[c, 0] <= columns[c, 1] <= records.shape[1])

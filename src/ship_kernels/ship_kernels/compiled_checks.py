@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled checks of single values and of blocks of values of a stream, for example of an INS against its own rates.
 
 The functions are described where they are called, in the modules of :mod:`ship_estimation.plausibility`. The result
@@ -45,7 +46,6 @@ def _mean_rate_error(first: cython.p_double, second: cython.p_double, seconds: c
     change: cython.double = 0.0
     twice_mean: cython.double = 0.0
     phase: cython.double = 2.0 * M_PI * seconds / _SHORTEST_PERIOD_S
-    i: cython.int
     for i in range(3):
         change += (second[i] - first[i]) * (second[i] - first[i])
         twice_mean += (second[i] + first[i]) * (second[i] + first[i])
@@ -59,7 +59,6 @@ def mean_rate_error(
     check("rates", first.shape[0] == second.shape[0] == 3)
     one = cython.declare(cython.double[3])
     other = cython.declare(cython.double[3])
-    i: cython.int
     for i in range(3):
         one[i], other[i] = first[i], second[i]
     return _mean_rate_error(one, other, seconds)
@@ -98,8 +97,6 @@ def rotation_steps(
     first = cython.declare(cython.double[3])
     second = cython.declare(cython.double[3])
     step_ns: cython.longlong
-    n: cython.Py_ssize_t
-    i: cython.int
     for i in range(3):
         first[i] = last_rate[i]
     for n in range(count):
@@ -128,8 +125,6 @@ def _step_sizes(
     x: cython.double
     y: cython.double
     z: cython.double
-    p: cython.Py_ssize_t
-    m: cython.Py_ssize_t
     for p in range(weights.shape[0]):
         x = y = z = 0.0
         for m in range(weights.shape[1]):
@@ -199,8 +194,6 @@ def set_bounds(
     check("scaled", scaled.shape[0] == places and scaled.shape[1] == weights.shape[1])
     bound: cython.double
     learnt: cython.double
-    p: cython.Py_ssize_t
-    m: cython.Py_ssize_t
     for p in range(places):
         learnt = _TYPICAL * sqrt(sqrt(sqrt(high[p]))) * shares[p]
         bound = least_rad[p]
@@ -229,7 +222,6 @@ def _learn(
 ) -> cython.void:
     """Update the statistics; arguments as for :func:`learn`."""
     square: cython.double
-    p: cython.Py_ssize_t
     for p in range(sizes.shape[0]):
         square = sizes[p] * bounds[p] * bounds[p]
         square *= square
@@ -318,8 +310,6 @@ def accepted_on_line(
     step_rad: cython.double
     on_line: cython.bint
     taken: cython.Py_ssize_t = 0
-    p: cython.Py_ssize_t
-    i: cython.int
     while taken < samples:
         step_rad = error_rad[taken] - last_error_rad
         # NaN ends the loop.
@@ -363,9 +353,6 @@ def changes(before: cython.const[cython.double][:, :], values: cython.const[cyth
     largest: cython.double
     square: cython.double
     change: cython.double
-    n: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     found = []
     for n in range(values.shape[0]):
         largest = 0.0

@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled statistics of innovations, windowed means of whitened innovations, and protection levels.
 
 The functions are described where they are called: :mod:`ship_estimation.innovations.innovation_statistics`,
@@ -27,9 +28,6 @@ def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bi
     Returns:
         False if the matrix is not positive definite or contains NaN.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     total: cython.double
     for i in range(size):
         for j in range(i + 1):
@@ -91,10 +89,6 @@ def innovation_statistics(
     correlation_sum: cython.double
     row: cython.double
     count: cython.Py_ssize_t
-    group: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     for i in range(m):
         if not fabs(residual[i]) < INFINITY:
             return None
@@ -145,7 +139,6 @@ def _members(
 ) -> cython.Py_ssize_t:
     """Write the indices of the components of a group; return their number."""
     count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
     for i in range(group_of.shape[0]):
         if group_of[i] == group:
             chosen[count] = i
@@ -176,8 +169,6 @@ def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssiz
     own_share: cython.double = 0.0
     nis: cython.double = 0.0
     components: cython.double = 0.0
-    n: cython.Py_ssize_t
-    part: cython.Py_ssize_t
     for n in range(numbers.shape[0]):
         nis += numbers[n, 1]
         components += numbers[n, 2]
@@ -236,9 +227,7 @@ def axis_statistics(
     limit: cython.double
     squares: cython.double
     products: cython.double
-    axis: cython.Py_ssize_t
     known: cython.Py_ssize_t
-    n: cython.Py_ssize_t
     for n in range(count):
         if numbers[n, 4] == 0.0:
             common_variance = _larger(common_variance, 1.0 - numbers[n, 3])
@@ -288,8 +277,6 @@ def _average(
     mean: cython.p_double, innovation: cython.p_double, weights: cython.const[cython.double][::1]
 ) -> cython.void:
     """Update the means, shape (w, 5), in place with one innovation."""
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     weight: cython.double
     for k in range(weights.shape[0]):
         weight = weights[k]
@@ -321,9 +308,6 @@ def _chi2_with_constant_error(
     solved = cython.declare(cython.double[3])
     total: cython.double = 0.0
     left: cython.double
-    i: cython.int
-    j: cython.int
-    k: cython.int
     for i in range(3):
         for j in range(i + 1):
             left = (mean[4] - constant) * whitened_noise[i, j]
@@ -410,11 +394,7 @@ def updated_means(
     mean: cython.p_double
     size: cython.double
     worst: cython.double
-    row: cython.Py_ssize_t
-    one: cython.Py_ssize_t
     s: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     if rows * count:
         of_numbers: cython.size_t = rows * count * cython.sizeof(cython.double)
         of_stamps: cython.size_t = count * cython.sizeof(cython.longlong)
@@ -476,8 +456,6 @@ def updated_mean(
     seen[0], seen[1], seen[2] = innovation[0], innovation[1], innovation[2]
     _average(cython.address(means[0, 0]), seen, weights)
     worst: cython.double = 0.0
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     for k in range(weights.shape[0]):
         for i in range(3):
             worst = _larger(worst, fabs(means[k, i]) / sqrt(means[k, 4]))
@@ -518,10 +496,7 @@ def updated_correction_sums(
     variance: cython.double
     response: cython.double
     weighted: cython.double
-    axis: cython.Py_ssize_t
     state: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for axis in range(3):
         state = first + axis
         if after[0, 2, axis] <= block_left:
@@ -557,8 +532,6 @@ def _form(
 ) -> cython.double:
     """Return leftᵀ matrix right."""
     total: cython.double = 0.0
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for i in range(left.shape[0]):
         for j in range(right.shape[0]):
             total += left[i] * matrix[i, j] * right[j]
@@ -628,11 +601,7 @@ def solution_separation(
     grown: cython.double
     sigma: cython.double
     value: cython.double
-    k: cython.Py_ssize_t
     row: cython.Py_ssize_t
-    part: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for i in range(n):
         check("states", 0 <= states[i] < m)
     for i in range(3):
@@ -685,8 +654,6 @@ def separation_sigmas(
     check("variance", variance_0.shape[0] == columns)
     of_sigma = np.empty((variance.shape[0], columns))
     sigma: cython.double[:, ::1] = of_sigma
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     for row in range(variance.shape[0]):
         for i in range(columns):
             sigma[row, i] = _separation_sigma(variance[row, i], variance_0[i], share, tiny)
@@ -737,7 +704,6 @@ def coverage(
     growth: cython.double = INFINITY
     room: cython.double
     trace: cython.double
-    i: cython.int
     for i in range(3):
         # NaN levels belong to the state UNAVAILABLE, which was published.
         unknown = unknown and level[i] != level[i] and published[i] != published[i]
@@ -784,9 +750,6 @@ def covered_count(
     check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
     check("directions", directions.shape[0] == count and directions.shape[1] == published_directions.shape[0])
     check("published_directions", directions.shape[2] == published_directions.shape[1])
-    n: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for n in range(count):
         # NaN is within no bound.
         if not times_ns[n] < until_ns:
@@ -806,8 +769,6 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     vectors = cython.declare(cython.double[9])
-    p: cython.int
-    q: cython.int
     for p in range(3):
         for q in range(p + 1):
             a[3 * p + q] = a[3 * q + p] = matrix[p, q]
@@ -825,8 +786,6 @@ def square_root(matrix: cython.const[cython.double][:, :]):
     vectors = cython.declare(cython.double[9])
     result = np.empty((3, 3))
     root: cython.double[:, ::1] = result
-    p: cython.int
-    q: cython.int
     for p in range(3):
         for q in range(p + 1):
             a[3 * p + q] = a[3 * q + p] = matrix[p, q]

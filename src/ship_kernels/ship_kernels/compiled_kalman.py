@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled time and measurement update of a Kalman filter with subfilters and with covariances by error source.
 
 The steps work for any number of states, sources, filters and residuals. The functions are documented where they are
@@ -34,7 +35,6 @@ def _add(
     target: cython.p_double, weight: cython.double, row: cython.p_double, count: cython.Py_ssize_t
 ) -> cython.void:
     """Add a number times a row to another row."""
-    i: cython.Py_ssize_t
     for i in range(count):
         target[i] += weight * row[i]
 
@@ -64,7 +64,6 @@ def _add_rows(
         stride: width of the matrix of the rows.
         count: number of elements of each row.
     """
-    j: cython.Py_ssize_t
     k: cython.Py_ssize_t = 0
     row: cython.p_double
     first: cython.double
@@ -109,7 +108,6 @@ def _product(
     out: cython.p_double,
 ) -> cython.void:
     """Write the product of two matrices."""
-    i: cython.Py_ssize_t
     memset(out, 0, rows * columns * cython.sizeof(cython.double))
     for i in range(rows):
         _add_rows(out + i * columns, 1.0, left + i * inner, 1, inner, right, columns, columns)
@@ -121,7 +119,6 @@ def _sum(
     parts: cython.p_double, count: cython.Py_ssize_t, size: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
     """Write the sum of contiguous matrices."""
-    s: cython.Py_ssize_t
     memcpy(out, parts, size * cython.sizeof(cython.double))
     for s in range(1, count):
         _add(out, 1.0, parts + s * size, size)
@@ -132,8 +129,6 @@ def _sum(
 def _transpose(
     matrix: cython.p_double, rows: cython.Py_ssize_t, columns: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for i in range(rows):
         for j in range(columns):
             out[j * rows + i] = matrix[i * columns + j]
@@ -143,8 +138,6 @@ def _transpose(
 @cython.exceptval(check=False)
 def _cholesky(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
     """Replace the upper triangle by the Cholesky factor; return False if the factor does not exist, as for NaN."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     root: cython.double
     row: cython.p_double
     for j in range(size):
@@ -165,8 +158,6 @@ def _solve(
     factor: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.void:
     """Replace a right-hand side of ``columns`` columns by the solution, from the Cholesky factor of the matrix."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     k: cython.Py_ssize_t
     row: cython.p_double
     for i in range(size):
@@ -198,7 +189,6 @@ def predicted_covariances(
     check("stacks", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
     result = np.empty((stacks.shape[0], matrices, n, n))
     out: cython.double[:, :, :, ::1] = result
-    stack: cython.Py_ssize_t
     for stack in range(stacks.shape[0]):
         _predict_covariances(stacks[stack], sources, decay, noise, source_of, out[stack])
     return result
@@ -216,9 +206,6 @@ def _predict_covariances(
 ) -> cython.void:
     """Write the predicted covariances of one stack for a diagonal transition."""
     n: cython.Py_ssize_t = stack.shape[1]
-    s: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for s in range(stack.shape[0]):
         for i in range(n):
             for j in range(n):
@@ -254,7 +241,6 @@ def _transition(
     noise: cython.double[::1],
 ) -> cython.void:
     """Write decay factor and process noise variance of each state."""
-    i: cython.Py_ssize_t
     for i in range(time_s.shape[0]):
         decay[i] = exp(-dt_s / time_s[i])
         noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
@@ -296,8 +282,6 @@ def propagate(
     propagated: cython.double[:, ::1] = of_means
     out: cython.double[:, :, ::1] = of_stack
     noise: cython.double[::1] = np.empty(n)
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     _transition(dt_s, time_s, steady_variance, walk_variance, decay, noise)
     _predict_covariances(stack, stack.shape[0] - rows + 1, decay, noise, source_of, out)
     for row in range(rows):
@@ -332,9 +316,6 @@ def add_error(
     check("row", 0 <= row < rows and 0 <= part < sources)
     check("states", 0 <= first <= stack.shape[1] - count and stack.shape[1] == stack.shape[2])
     check("covariance", covariance.shape[1] == count)
-    s: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for s in range(stack.shape[0]):
         if s == sources + row - 1 if row else s == part or s >= sources:
             for i in range(count):
@@ -373,8 +354,6 @@ def solution_separations(
     separation: cython.double[:, ::1] = of_separation
     statistic: cython.double[::1] = of_statistic
     by_all: cython.double
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     _check_separations(means, stack, first, count)
     for i in range(first, first + count):
         by_all = _main_filter_variance(stack, rows, i)
@@ -397,8 +376,6 @@ def exceeds_separation(
 ) -> cython.bint:
     """True if a solution separation exceeds the threshold; arguments as for :func:`solution_separations`."""
     by_all: cython.double
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     _check_separations(means, stack, first, count)
     for i in range(first, first + count):
         by_all = _main_filter_variance(stack, means.shape[0], i)
@@ -429,7 +406,6 @@ def _main_filter_variance(
 ) -> cython.double:
     """Return the variance of a state in the main filter."""
     total: cython.double = 0.0
-    s: cython.Py_ssize_t
     for s in range(stack.shape[0] - rows + 1):
         total += stack[s, state, state]
     return total
@@ -486,8 +462,6 @@ def variance_along(
     n: cython.Py_ssize_t = weights.shape[0]
     check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
     total: cython.double = 0.0
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for i in range(n):
         if weights[i] != 0.0:
             for j in range(n):
@@ -512,9 +486,6 @@ def projected_variance(
     check("excluded_states", covariance.shape[0] == covariance.shape[1] == excluded_states.shape[0] == n)
     total: cython.double = 0.0
     along: cython.double
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for row in range(jacobian.shape[0]):
         for i in range(n):
             if excluded_states[i] != 0.0 or jacobian[row, i] == 0.0:
@@ -574,10 +545,6 @@ def innovations(
     parts: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
     h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
     turning: cython.p_double = cython.cast(cython.p_double, cython.address(by_turn[0, 0]))
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     total: cython.double
     _transpose(h, m, n, transposed)
     _sum(parts, sources, n * n, covariance)
@@ -644,8 +611,6 @@ def _whitened_noise(
 @cython.exceptval(check=False)
 def _diagonalise(matrix: cython.p_double, vectors: cython.p_double) -> cython.void:
     """Diagonalise a symmetric 3 × 3 matrix by Jacobi rotations; write eigenvectors as columns of the other matrix."""
-    p: cython.int
-    q: cython.int
     k: cython.int
     off: cython.double
     angle: cython.double
@@ -691,9 +656,6 @@ def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void
     """
     vectors = cython.declare(cython.double[9])
     scale = cython.declare(cython.double[3])
-    p: cython.int
-    q: cython.int
-    k: cython.int
     largest: cython.double
     _diagonalise(matrix, vectors)
     largest = max(matrix[0], matrix[4], matrix[8])
@@ -747,10 +709,7 @@ def update(
     scratch: cython.p_double = cython.address(room[0])
     h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
     part: cython.const[cython.double][:, ::1]
-    row: cython.Py_ssize_t
     s: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     total: cython.double
     for row in range(rows):
         for i in range(n):
@@ -805,8 +764,6 @@ def _observed_states(
 ) -> cython.Py_ssize_t:
     """Write the indices of the states with a nonzero column of H; return the number of these states."""
     count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for j in range(jacobian.shape[1]):
         for i in range(jacobian.shape[0]):
             if jacobian[i, j] != 0.0:
@@ -832,8 +789,6 @@ def _thin_factor(
     """
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     product: cython.p_double = scratch + 2 * n * chosen
     if not chosen:
         memcpy(scratch, cython.address(gain[0, 0]), n * m * cython.sizeof(cython.double))
@@ -858,7 +813,6 @@ def _times_right_factor(
     out: cython.p_double,
 ) -> cython.void:
     """Write the right factor of K H times a matrix; this factor is H or selects the observed states."""
-    k: cython.Py_ssize_t
     if not chosen:
         _product(jacobian, m, n, matrix, n, out)
     for k in range(chosen):
@@ -882,7 +836,6 @@ def _joseph_update(
     transposed: cython.p_double = scratch + n * r
     across: cython.p_double = transposed + n * r
     halfway: cython.p_double = across + n * r
-    i: cython.Py_ssize_t
     # P is symmetric, so the transpose of B P is P Bᵀ.
     _times_right_factor(jacobian, m, states, chosen, covariance, n, across)
     memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
@@ -907,7 +860,6 @@ def _add_noise(
     m: cython.Py_ssize_t = gain.shape[1]
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])
     by_noise: cython.p_double = transposed + n * m
-    i: cython.Py_ssize_t
     _transpose(cython.address(gain[0, 0]), n, m, transposed)
     _product(cython.cast(cython.p_double, cython.address(noise[0, 0])), m, m, transposed, n, by_noise)
     for i in range(n):
@@ -923,9 +875,6 @@ def _solve_beacon(
 
     The matrix is overwritten. The result is False if the matrix has NaN or is not positive definite.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     factor: cython.double
     for i in range(size):
         for j in range(i):
@@ -964,8 +913,6 @@ def _select_components(
     """Return the number of selected components; write their indices to ``places`` and their covariance to ``out``."""
     size: cython.int = is_selected.shape[0]
     count: cython.int = 0
-    i: cython.int
-    j: cython.int
     for i in range(size):
         if is_selected[i]:
             places[count] = i
@@ -996,9 +943,6 @@ def _whiten_beacon(
     own = cython.declare(cython.double[4])
     area: cython.double
     scale: cython.double
-    i: cython.int
-    j: cython.int
-    k: cython.int
     for i in range(count):
         for j in range(2):
             right_side[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
@@ -1079,11 +1023,6 @@ def beacon_innovations(
     right_side: cython.p_double
     total: cython.double
     count: cython.Py_ssize_t
-    subfilter: cython.Py_ssize_t
-    beacon: cython.int
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     if m == 0:
         of_nis[:] = 0.0
         return of_residuals, of_gains, of_nis, innovation_array

@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled axis geometry of a two-axis mount on a ship, for one or many readings of its encoders.
 
 R is the measured attitude of the ship (horizon n from deck d) and ω the ship's angular rate in d. The main frame m of
@@ -55,7 +56,6 @@ def _axes(
     sc: cython.double = sin(errors[2])
     flexure: cython.double = errors[6]
     raised: cython.double = elevation - errors[1] + flexure * cos(elevation)
-    i: cython.int
     tilt[0], tilt[1], tilt[2] = errors[5], 0.0, -errors[4]
     _exponential(tilt, tilted)
     _jacobian(tilt, by_tilt)
@@ -108,8 +108,6 @@ def _axis_geometry(
     axes = cython.declare(cython.double[9])
     by_axis = cython.declare(cython.double[21])
     by_angle = cython.declare(cython.double[6])
-    i: cython.int
-    j: cython.int
     for i in range(3):
         vector[i] = -errors[13] * rate[i]
     _exponential(vector, turn)
@@ -180,9 +178,6 @@ def axis_geometries(
     by_encoder: cython.double[:, :, ::1] = of_encoders
     measured = cython.declare(cython.double[9])
     rate = cython.declare(cython.double[3])
-    n: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(count):
         for i in range(3):
             rate[i] = rates[n, i]
@@ -213,9 +208,6 @@ def _add_projected(
     J is three columns of a matrix with ``width`` columns.
     """
     half = cython.declare(cython.double[3])
-    i: cython.int
-    j: cython.int
-    k: cython.int
     for i in range(3):
         for k in range(3):
             half[k] = (
@@ -237,9 +229,6 @@ def _projected_covariance(
     """Write J P Jᵀ, with J of shape (3, size) and a symmetric P of shape (size, size)."""
     half = cython.declare(cython.double[14])
     total: cython.double
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     for i in range(3):
         for j in range(size):
             half[j] = 0.0
@@ -336,10 +325,6 @@ def pointings(
     fresh = cython.declare(cython.double[9])
     left = cython.declare(cython.double[3])
     since_s: cython.double
-    n: cython.Py_ssize_t
-    s: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(count):
         since_s = 1e-9 * max(since_ns[n], 0)
         for i in range(_ERRORS):
@@ -430,10 +415,6 @@ def totals(
     before: cython.double[:, :, ::1] = of_before
     after: cython.double[:, :, ::1] = of_after
     further = cython.declare(cython.double[9])
-    n: cython.Py_ssize_t
-    s: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(count):
         for i in range(9):
             further[i] = 0.0
@@ -463,7 +444,6 @@ def _by_frame(
     row: cython.p_double, rotation: cython.p_double, sign: cython.double, out: cython.p_double
 ) -> cython.void:
     """Write sign × row × rotation (3 × 3)."""
-    j: cython.int
     for j in range(3):
         out[j] = sign * (row[0] * rotation[j] + row[1] * rotation[3 + j] + row[2] * rotation[6 + j])
 
@@ -534,10 +514,6 @@ def sight_lines(
     raised: cython.double
     length: cython.double
     out: cython.p_double
-    e: cython.Py_ssize_t
-    n: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for e in range(epochs):
         _copy(ships[e], rotation_nd)
         _copy(mounts[e], rotation_dm)
@@ -614,10 +590,6 @@ def image_points(
     seen_t = cython.declare(cython.double[3])
     across: cython.double
     scale: cython.double
-    e: cython.Py_ssize_t
-    n: cython.Py_ssize_t
-    i: cython.int
-    k: cython.int
     for e in range(epochs):
         _copy(telescopes[e], rotation_nt)
         for n in range(count):
@@ -676,10 +648,6 @@ def jacobian_by_states(
     jacobian: cython.double[:, ::1] = of_states
     by_error: cython.double[:, :, ::1] = of_errors
     total: cython.double
-    beacon: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    c: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     for i in range(couplings.shape[0]):
         check("couplings", -1 <= couplings[i, 0] < count and 0 <= couplings[i, 1] < errors and 0 <= couplings[i, 2] < n)
     for beacon in range(count):
@@ -713,10 +681,6 @@ def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances
     result = np.empty((covariances.shape[0], m, m))
     out: cython.double[:, :, ::1] = result
     half = cython.declare(cython.double[3])
-    p: cython.Py_ssize_t
-    a: cython.Py_ssize_t
-    b: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     for p in range(covariances.shape[0]):
         for a in range(m):
             for i in range(3):
@@ -743,11 +707,6 @@ def covariance_by_own_error(
     check("errors", covariance.shape[1] == covariance.shape[2] == 3)
     result = np.zeros((2 * count, 2 * count))
     out: cython.double[:, ::1] = result
-    beacon: cython.Py_ssize_t
-    a: cython.Py_ssize_t
-    b: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for beacon in range(count):
         for a in range(2):
             for b in range(2):

@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled rotations and angles of attitudes, mostly of single ones, because a live node mostly computes these.
 
 Numpy is efficient for arrays only. :mod:`ship_geometry.rotations` has the exponential, its Jacobian and the logarithm
@@ -106,7 +107,6 @@ def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
     sine: cython.double = 0.5 * sqrt(x * x + y * y + z * z)
     angle: cython.double
     scale: cython.double
-    i: cython.int
     k: cython.int = 0
     if not cosine < -0.9:
         scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * atan2(sine, cosine) / sine
@@ -130,8 +130,6 @@ def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
 @cython.exceptval(check=False)
 def _copy(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
     """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
-    i: cython.int
-    j: cython.int
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = matrix[i, j]
@@ -152,8 +150,6 @@ def logarithm(rotation: cython.const[cython.double][:, :]):
 @cython.exceptval(check=False)
 def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
     """Write the product of two 3 × 3 matrices."""
-    i: cython.int
-    j: cython.int
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = left[3 * i] * right[j] + left[3 * i + 1] * right[3 + j] + left[3 * i + 2] * right[6 + j]
@@ -173,8 +169,6 @@ def cumulative_rotations(rotation: cython.const[cython.double][:, :], vectors: c
     before = cython.declare(cython.double[9])
     vector = cython.declare(cython.double[3])
     turn = cython.declare(cython.double[9])
-    n: cython.Py_ssize_t
-    i: cython.int
     _copy(rotation, before)
     for n in range(count):
         for i in range(3):
@@ -207,9 +201,6 @@ def differences(
     vectors: cython.double[:, ::1] = of_vectors
     across = cython.declare(cython.double[9])
     turned = cython.declare(cython.double[9])
-    n: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(count):
         for i in range(3):
             for j in range(3):
@@ -231,8 +222,6 @@ def differences(
 @cython.exceptval(check=False)
 def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
     """Write the product of the transpose of a 3 × 3 matrix and another 3 × 3 matrix."""
-    i: cython.int
-    j: cython.int
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = left[i] * right[j] + left[3 + i] * right[3 + j] + left[6 + i] * right[6 + j]
@@ -292,9 +281,6 @@ def composed_attitude(
     from_link = cython.declare(cython.double[9])
     on_base = cython.declare(cython.double[9])
     scale: cython.double
-    k: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for k in range(count):
         check("links", 0 <= links[k] <= n - 3)
         scale = white_scale if k == white else 1.0
@@ -348,8 +334,6 @@ def _inverse_times(matrix: cython.p_double, vector: cython.p_double, out: cython
     """Write the inverse of the transpose of a 3 × 3 matrix, times a vector, by Cramer's rule."""
     minors = cython.declare(cython.double[9])
     determinant: cython.double
-    i: cython.int
-    j: cython.int
     for i in range(3):
         for j in range(3):
             minors[3 * i + j] = (
@@ -383,7 +367,6 @@ def _cubic(
     """
     matrix = cython.declare(cython.double[9])
     slope = cython.declare(cython.double[3])
-    i: cython.int
     _jacobian(turn, matrix)
     for i in range(3):
         slope[i] = end_rate[i] * interval_s
@@ -436,7 +419,6 @@ def cubic(
     start = cython.declare(cython.double[3])
     end = cython.declare(cython.double[3])
     rate_there = cython.declare(cython.double[3])
-    i: cython.int
     _copy(first, matrix)
     for i in range(3):
         whole[i], start[i], rate_there[i] = turn[i], start_rate[i] * interval_s, end_rate[i]
@@ -511,9 +493,6 @@ def interpolate_attitude(
     scale: cython.double = 0.0
     squares: cython.double = 0.0
     miss: cython.double
-    i: cython.int
-    j: cython.int
-    k: cython.int
     _copy(first, start_nd)
     _copy(second, other_nd)
     _transposed_times(start_nd, other_nd, between_d)
@@ -592,10 +571,6 @@ def propagate_by_rates(
     squares: cython.double
     change: cython.double
     ahead: cython.double
-    n: cython.Py_ssize_t
-    back: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(samples):
         ahead, squares = ahead_s[n], 0.0
         lacking = ahead * ahead * ahead / 6.0 + ahead * ahead * steps_s[n, 0] / 4.0
@@ -694,11 +669,6 @@ def corrected_attitudes(
     total: cython.double
     at: cython.p_double
     e: cython.Py_ssize_t
-    n: cython.Py_ssize_t
-    s: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
-    k: cython.int
     for n in range(count):
         at, e = cython.address(attitudes[n, 0, 0]), by[n]
         check("estimates", 0 <= e < estimates)
@@ -749,7 +719,6 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
     azimuth: cython.double
     ca: cython.double
     sa: cython.double
-    n: cython.Py_ssize_t
     for n in range(count):
         azimuth = atan2(rotations[n, 2, 0], rotations[n, 0, 0])
         if azimuth < 0.0:
@@ -780,7 +749,6 @@ def rotations(of_angles: cython.const[cython.double][:, :]):
     se: cython.double
     cr: cython.double
     sr: cython.double
-    n: cython.Py_ssize_t
     for n in range(count):
         ca, sa = cos(of_angles[n, 0]), sin(of_angles[n, 0])
         ce, se = cos(of_angles[n, 1]), sin(of_angles[n, 1])
@@ -804,7 +772,6 @@ def _by_rotation_vector(
     sa: cython.double = sin(azimuth)
     ce: cython.double = cos(elevation)
     tangent: cython.double = tan(elevation)
-    i: cython.int
     if not fabs(elevation) <= highest:
         for i in range(9):
             out[i] = NAN
@@ -844,9 +811,6 @@ def angle_covariances(
     out: cython.double[:, :, ::1] = of_result
     by_vector = cython.declare(cython.double[9])
     half = cython.declare(cython.double[9])
-    n: cython.Py_ssize_t
-    i: cython.int
-    j: cython.int
     for n in range(count):
         _by_rotation_vector(of_angles[n, 0], of_angles[n, 1], highest, by_vector)
         for i in range(3):
@@ -876,9 +840,7 @@ def quaternions(matrices: cython.const[cython.double][:, :, :]):
     products = cython.declare(cython.double[16])
     diagonal = cython.declare(cython.double[3])
     norm: cython.double
-    n: cython.Py_ssize_t
     largest: cython.int
-    i: cython.int
     j: cython.int
     k: cython.int
     for n in range(count):
@@ -914,7 +876,6 @@ def rotations_of(quaternions: cython.const[cython.double][:, :]):
     z: cython.double
     w: cython.double
     scale: cython.double
-    n: cython.Py_ssize_t
     for n in range(count):
         x, y, z, w = quaternions[n, 0], quaternions[n, 1], quaternions[n, 2], quaternions[n, 3]
         scale = 2.0 / (x * x + y * y + z * z + w * w)

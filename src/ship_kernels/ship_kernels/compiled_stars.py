@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled refraction and attitude fit of the stars of an exposure, which are too few for efficient numpy.
 
 The functions are described in :mod:`ship_geometry.air.refraction`, :mod:`ship_stars.solution.fit` and
@@ -39,8 +40,6 @@ def _refraction(
     tan2_z: cython.double = tan_z * tan_z
     divisor: cython.double
     x: cython.double = tan2_z / (1.0 + curvature * tan2_z)
-    i: cython.int
-    power: cython.Py_ssize_t
     for i in range(3):
         angles[i] = coefficients[coefficients.shape[0] - 1, i]
         for power in range(coefficients.shape[0] - 2, -1, -1):
@@ -103,7 +102,6 @@ def refraction_angles(
     angles: cython.double[:, ::1] = of_angles
     sigma: cython.double[::1] = of_sigma
     out: cython.p_double
-    k: cython.Py_ssize_t
     for k in range(count):
         out = cython.address(angles[k, 0])
         sigma[k] = _refraction(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, out)
@@ -119,7 +117,6 @@ def raised_directions(
     result = np.empty((count, 3))
     out: cython.double[:, ::1] = result
     star = cython.declare(cython.double[3])
-    k: cython.Py_ssize_t
     for k in range(count):
         star[0], star[1], star[2] = direction_n[k, 0], direction_n[k, 1], direction_n[k, 2]
         _raise_direction(star, angle[k], cython.address(out[k, 0]))
@@ -168,8 +165,6 @@ def seen_through_air(
     sigma: cython.double
     level: cython.double
     upward: cython.double
-    k: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for k in range(count):
         star[0], star[1], star[2] = without_air_n[k, 0], without_air_n[k, 1], without_air_n[k, 2]
         elevation[k] = atan2(star[1], hypot(star[0], star[2]))
@@ -241,10 +236,6 @@ def linearise_stars(
     turn = cython.declare(cython.double[3])
     axis: cython.double
     per_sigma: cython.double
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for k in range(count):
         per_sigma = 1.0 / sigma[k]
         for i in range(3):
@@ -293,10 +284,6 @@ def _add_normal_equations(
     """Add the normal equations of the members to arrays of zeros; return the sum of their squared displacements."""
     q: cython.Py_ssize_t = jacobian.shape[2]
     squares: cython.double = 0.0
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    a: cython.Py_ssize_t
-    b: cython.Py_ssize_t
     for k in range(jacobian.shape[0]):
         if not members[k]:
             continue
@@ -373,9 +360,6 @@ def solve_normal_equations(
     lower: cython.double[:, ::1] = np.empty((q, q))
     total: cython.double
     count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for i in range(members.shape[0]):
         count += 1 if members[i] else 0
     for i in range(free_count, q):
@@ -429,10 +413,6 @@ def apply_prior(
     of_jacobian, of_displacement = np.empty((count, 3, q)), np.empty((count, 3))
     counted: cython.double[:, :, ::1] = of_jacobian
     reduced: cython.double[:, ::1] = of_displacement
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for k in range(count):
         for i in range(3):
             reduced[k, i] = displacement[k, i]
@@ -480,10 +460,6 @@ def attitude_covariances(
     turn = cython.declare(cython.double[3])
     information_of_errors = cython.declare(cython.double[9])
     half = cython.declare(cython.double[9])
-    k: cython.Py_ssize_t
-    c: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for c in range(q - 3):
         check("terms", 0 <= term_of[c] < terms)
         # Rotation of the attitude due to one sigma of the unknown.
@@ -533,9 +509,6 @@ def expected_directions(
     out: cython.double[:, ::1] = result
     length: cython.double
     shift: cython.double
-    k: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for k in range(count):
         for i in range(3):
             shift = 0.0
@@ -583,7 +556,6 @@ def residuals(
     check("rotation_ns", rotation_ns.shape[0] == rotation_ns.shape[1] == 3)
     check("states", first >= 0 and first + shared <= n)
     number: cython.Py_ssize_t = 0
-    k: cython.Py_ssize_t
     for k in range(count):
         number += 1 if members[k] else 0
     of_residual, of_jacobian = np.empty(2 * number), np.zeros((2 * number, n))
@@ -597,9 +569,6 @@ def residuals(
     level: cython.double
     total: cython.double
     row: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    c: cython.Py_ssize_t
     for k in range(count):
         if not members[k]:
             continue

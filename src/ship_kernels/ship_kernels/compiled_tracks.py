@@ -1,4 +1,5 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, infer_types=True
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled interpolation and fit of cubics to a few samples.
 
 The interpolation, with its error from the polynomial through all samples, is described in
@@ -35,9 +36,6 @@ def _polynomial_error(
 
     ``values`` is overwritten.
     """
-    order: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     product: cython.double = 1.0
     term: cython.double = 0.0
     for order in range(1, count):
@@ -83,8 +81,6 @@ def polynomial_errors(
     places = cython.declare(cython.double[8])
     errors = np.empty((2, width))
     out: cython.double[:, ::1] = errors
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     if width == 0:
         return errors
     for row in range(count):
@@ -171,9 +167,6 @@ def interpolate_vector(
     slope_before: cython.double
     slope_after: cython.double
     squares: cython.double = 0.0
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     for row in range(rows):
         nodes[row] = cython.cast(cython.double, times_ns[around[row]] - times_ns[left]) / interval_ns
         for i in range(width):
@@ -213,7 +206,6 @@ def _change(
     """
     change: cython.double = 0.0
     step: cython.double
-    i: cython.Py_ssize_t
     for i in range(min(first, last), max(first, last)):
         step = vectors[i + 1, component] - vectors[i, component]
         change += step if period == INFINITY else step - period * rint(step / period)
@@ -268,9 +260,6 @@ def _orthonormal(
     since: cython.p_double, count: cython.Py_ssize_t, basis: cython.p_double, at_zero: cython.p_double
 ) -> cython.void:
     """Compute four orthonormal polynomials up to the cubic: values at some times, one polynomial a row, and at zero."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     product: cython.double
     for j in range(4):
         at_zero[j] = 1.0 if j == 0 else 0.0
@@ -305,8 +294,6 @@ def weights_at_zero(since: cython.double[::1]) -> FloatArray:
     at_zero: cython.double[::1] = np.empty(4)
     found: FloatArray = np.zeros(count)
     weights: cython.double[::1] = found
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     check("times", count >= 4)
     _orthonormal(cython.address(since[0]), count, cython.address(basis[0, 0]), cython.address(at_zero[0]))
     for j in range(4):
@@ -338,10 +325,6 @@ def clearest_step(
     found: FloatArray = np.zeros(3)
     clearest: cython.double[::1] = found
     place: cython.Py_ssize_t = before
-    first: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     product: cython.double
     weight: cython.double
     explained: cython.double
