@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.mount.image import block_diagonal
 from ship_geometry.mount.line_of_sight import (
     BeaconPoses,
     ErrorTerm,
@@ -13,7 +14,6 @@ from ship_geometry.mount.line_of_sight import (
     LinesOfSight,
     Ship,
     Survey,
-    block_diagonal,
     covariance_by_source,
     lines_of_sight,
 )

@@ -27,7 +27,6 @@ from ship_geometry.tracks.attitude_track import (
     AttitudeSample,
     AttitudeTrack,
     ExtraNoise,
-    RecentRates,
     SampleBlock,
     propagate_block,
 )
@@ -60,7 +59,7 @@ class InsBatch:
         arrivals_ns: arrival times, by the timeout clock.
         checked: results of the INS check. If the check found a sample that needs separate handling, this sample is
             ``checked.last``; it follows the batch and is not part of it.
-        previous_rates: rates of the samples before the batch.
+        previous: the last samples before the batch, by whose rates the samples of the batch are propagated.
         extra_noise: noise of the samples in excess of the stated noise; None without excess noise.
         committed_count: number of committed samples.
         pending_outcomes: decisions and failures caused by samples, not yet retrieved, each with the index of its
@@ -71,7 +70,7 @@ class InsBatch:
     block: SampleBlock
     arrivals_ns: StampArray
     checked: CheckedBlock
-    previous_rates: RecentRates
+    previous: SampleBlock
     extra_noise: ExtraNoise | None = None
     committed_count: int = 0
     pending_outcomes: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
@@ -103,7 +102,7 @@ class InsBatch:
         samples = [slice(segment.start, segment.stop) for segment in self._segments]
         counts = [some.stop - some.start for some in samples]
         propagation_s = np.repeat([output.propagation_s(one) for one in corrected], counts)
-        propagated = propagate_block(self.previous_rates, self.block, propagation_s).with_noise(self.extra_noise)
+        propagated = propagate_block(self.previous, self.block, propagation_s).with_noise(self.extra_noise)
         times_ns, found = self.block.times_ns[: self.committed_count], list[AttitudeSeries | Rejection]()
         try:
             found += corrected_estimates(corrected, counts, times_ns, propagated, output.config)
@@ -187,7 +186,7 @@ class InsInput:
         # The vertical at a sample may change with position fixes that arrive before the block ends.
         if self._output.must_be_single or not self.checks.ins.can_check_block(first_ns):
             return None
-        newest, before = self.track.newest, self.track.recent_rates()
+        newest, before = self.track.newest, self.track.recent_block()
         if newest is None or before is None or self._arrival_ns is None:
             return None
         if not (newest.time_ns < first_ns and self._output.sequence.can_publish(first_ns)):

@@ -26,10 +26,9 @@ from ship_geometry.tracks.sample_track import RECENT_COUNT, SampleTrack
 from ship_kernels import compiled_rotations
 
 _SPACING_NS = 100_000_000
-"""Spacing of the samples from which the motion is estimated without measured rates, ns.
+"""Spacing, ns, of the samples from which the motion is estimated without rates; with closer ones noise dominates."""
 
-With closer samples their noise dominates.
-"""
+_ERROR_BOUNDS = ANY_DIRECTION, LARGEST_VARIANCE
 
 MAX_RATES = 4
 """Maximum number of measured rates from which the angular acceleration and its change are computed."""
@@ -78,18 +77,6 @@ class SampleBlock(NamedTuple):
     def subset(self, which: slice) -> "SampleBlock":
         """Return a slice of the samples."""
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
-
-
-class RecentRates(NamedTuple):
-    """The last MAX_RATES - 1 samples before a block, without a gap; see :class:`AttitudeSample`.
-
-    Attributes:
-        times_ns: stamps in ascending order, shape (MAX_RATES - 1,).
-        rates_d: measured rates, rad/s, shape (MAX_RATES - 1, 3).
-    """
-
-    times_ns: NDArray[np.int64]
-    rates_d: FloatArray
 
 
 class ExtraNoise(NamedTuple):
@@ -278,16 +265,17 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         (noise_d,) = found.noise_gain * extra.covariances_d(found.rate_d[None])
         return replace(found, error_covariance_d=found.error_covariance_d + noise_d)
 
-    def recent_rates(self) -> RecentRates | None:
-        """Return the rates for the propagation of later samples.
+    def recent_block(self) -> SampleBlock | None:
+        """Return the last MAX_RATES - 1 samples, by whose rates later samples are propagated.
 
-        The result is None for fewer than MAX_RATES - 1 samples, and if these have a gap, a jump or no measured rate.
+        The result is None for fewer samples, and if these have a gap, a jump or no measured rate.
         """
         rates_d = self._recent_rates(len(self._samples) - 1)[: MAX_RATES - 1]
         # Rates from before and after a jump do not give an acceleration.
         if len(rates_d) < MAX_RATES - 1 or (self._cuts_ns and max(self._cuts_ns) >= self._times[-1]):
             return None
-        return RecentRates(np.array(self._times[1 - MAX_RATES :]), np.array(rates_d[::-1]))
+        rotations_nd = np.array([sample.rotation_nd for sample in self._samples[1 - MAX_RATES :]])
+        return SampleBlock(np.array(self._times[1 - MAX_RATES :]), rotations_nd, np.array(rates_d[::-1]))
 
     def drop_rates(self, after_ns: int) -> int | None:
         """Drop the wrong measured rates of all samples after a stamp.
@@ -315,25 +303,17 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _propagate_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
+        """Propagate the newest sample by its measured rate and, if usable, the change since the sample before.
 
-        The rate is constant if the sample before is not usable.
         The difference of two rates gives the acceleration half a step before the newest sample. The error of the
         propagation therefore contains the change of the acceleration in this half step too.
         """
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
-        times = self._times
-        steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
-        (moved_nd,), (rate_d,), (error_d,) = compiled_rotations.propagate_by_rates(
-            rotation_nd[None],
-            np.array([rates]),
-            np.array([steps_s]),
-            np.array([ahead_s]),
-            ANY_DIRECTION,
-            LARGEST_VARIANCE,
-        )
+        steps_s = [self._seconds(k - 1, k) for k in range(index, index - len(rates) + 1, -1)]
+        of_one = rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
+        (moved_nd,), (rate_d,), (error_d,) = compiled_rotations.propagate_by_rates(*of_one, *_ERROR_BOUNDS)
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
@@ -402,8 +382,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             fraction,
             at_before,
             NEXT_TERM_SHARE,
-            ANY_DIRECTION,
-            LARGEST_VARIANCE,
+            *_ERROR_BOUNDS,
         )
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
@@ -428,11 +407,11 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return turn
 
 
-def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> PropagatedBlock:
+def propagate_block(before: SampleBlock, block: SampleBlock, ahead_s: FloatArray) -> PropagatedBlock:
     """Propagate the samples of a block, each as if it were the newest (:meth:`AttitudeTrack.propagate_newest`).
 
     Args:
-        before: rates of the samples before the block, without a gap.
+        before: the samples before the block, without a gap (:meth:`AttitudeTrack.recent_block`).
         block: N or more samples without a gap; the first N are propagated.
         ahead_s: time after each sample, s, negative for a time before the sample, shape (N,).
 
@@ -441,9 +420,9 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
 
         >>> times_ns, rate_d = 10 * SECOND_NS * np.arange(4), np.array([0.0, -0.1, 0.0])
         >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
-        >>> block = SampleBlock(times_ns[3:], rotations_nd[3:], rates_d[3:])
+        >>> block = SampleBlock(times_ns, rotations_nd, rates_d)
 
-        >>> propagated = propagate_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
+        >>> propagated = propagate_block(block.subset(slice(3)), block.subset(slice(3, 4)), np.array([1.0]))
         >>> print(log_rotation(rotations_nd[3].T @ propagated.rotation_nd[0]).round(6) + 0.0)
         [ 0.  -0.1  0. ]
     """
@@ -453,11 +432,6 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
     # Indices of the rates for each sample, newest first.
     recent = np.arange(MAX_RATES - 1, MAX_RATES - 1 + count)[:, None] - np.arange(MAX_RATES)
     moved_nd, rate_d, error_d = compiled_rotations.propagate_by_rates(
-        block.rotations_nd[:count],
-        rates_d[recent],
-        steps_s[recent[:, :-1] - 1],
-        ahead_s,
-        ANY_DIRECTION,
-        LARGEST_VARIANCE,
+        block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s, *_ERROR_BOUNDS
     )
     return PropagatedBlock(moved_nd, rate_d, np.ones(count), error_d)
