@@ -76,9 +76,9 @@ class StuckCheck:
 
     >>> guard = StuckCheck()
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> references = [MotionReference(n * 300_000_000, turned if n else np.eye(3), ARCSEC) for n in range(3)]
+    >>> references = [MotionReference(n * 300_000_000, turned if n else np.eye(3), 1e-5) for n in range(3)]
 
-    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in references]
+    >>> [guard.observe(one.time_ns, np.eye(3), 1e-5, {"another": one}) for one in references]
     [False, False, True]
     """
 
