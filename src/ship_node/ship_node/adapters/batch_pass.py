@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_estimation.rejection_rules import Rejection
 from ship_geometry.earth.time_scales import StampArray
-from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, EvaluatedBlock, Feed
+from ship_node.adapters.adapter import TICK_PERIOD_NS, BlockFeed, DeferringPart, EvaluatedBlock, Feed
 from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.inputs_outputs import (
     Arrival,
@@ -100,7 +100,7 @@ class BatchPass:
         self._outputs = BatchOutputs()
         self._estimates: list[_Estimates] = []
         # Place and order of each pending output, and the outputs computed so far.
-        self._deferring = adapter.deferring_part if len(batch.arrivals) > 1 else None
+        self._may_defer = len(batch.arrivals) > 1
         self._pending_places: list[tuple[int, int]] = []
         self._computed: list[_Part] = []
         self._computed_count = 0
@@ -128,6 +128,11 @@ class BatchPass:
                 block = OutputBlock(rows.topic, rows.messages, places[rows.places], orders[rows.places])
                 self._outputs.blocks.append(block)
         return self._outputs
+
+    @property
+    def _deferring(self) -> DeferringPart | None:
+        """Part of the core that defers outputs; an adoption within the batch replaces the core."""
+        return self._adapter.deferring_part if self._may_defer else None
 
     def compute_pending(self) -> None:
         """Compute the pending outputs, because the next output or report must follow them."""
