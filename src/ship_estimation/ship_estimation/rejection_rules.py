@@ -2,11 +2,12 @@
 
 A measurement is checked in this order:
 
-1. the inbox of a live node that cannot keep up (``ship_node/live/backlog``): BEHIND;
+1. the inbox of a live node that cannot keep up (``ship_node/live/node_events``): BEHIND;
 2. the reader of the message (``messages/`` of each estimator, with the checks of ``ship_node/messages/field_checks``):
-   all reasons for a wrong field; and the adapter (``ship_node/adapters``), if the source is switched off: OFF;
+   all reasons for a wrong field. The adapter (``ship_node/adapters/input_processing``): OFF for a source that is
+   switched off, CLOCK and FUTURE for a wrong clock;
 3. :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`: LATE;
-4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``plausibility/`` of
+4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``plausibility`` of
    ``ship_attitude_star`` for star sensors and references, ``theodolite_calib/samples/encoder_check`` for encoders):
    STUCK, UNITS, and GATE for a single sample that jumps. The checks of position and weather (``sky/stamped_values``):
    DUPLICATE, CONFLICT, LATE and JUMP;

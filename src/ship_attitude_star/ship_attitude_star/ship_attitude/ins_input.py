@@ -1,8 +1,10 @@
 """INS samples of the ship attitude: checks, track, batches, and the changes that a sample shows in the INS.
 
-Offline, the samples of a period are available together and are checked in one call. Then the samples are committed in
-order with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes
-of all samples are computed, together for samples with the same filter state.
+A live sample enters at :meth:`InsInput.add`, which the table of
+:mod:`ship_attitude_star.adapters.ship_attitude_adapter` connects with the topic. Offline, the samples of a period are
+available together and are checked in one call. Then the samples are committed in order with the other inputs, so that
+the filter state at each sample equals that of a live node. Finally the attitudes of all samples are computed, together
+for samples with the same filter state.
 """
 
 from collections import deque

@@ -1,10 +1,11 @@
 """Core of the node ``star_attitude``, shared with the replay: attitudes from exposures of star sensors.
 
-The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure;
-exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
-attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
-estimator, only its :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`. The timeout clock is described
-at :class:`ship_node.adapters.adapter.Adapter`.
+The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure
+(:mod:`ship_attitude_star.star_attitude.exposure_solver`, which calls :mod:`ship_stars.solution.solution`); exposures
+may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the attitude of the
+deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered estimator, only
+its :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`. The timeout clock is described at
+:class:`ship_node.adapters.adapter.Adapter`.
 """
 
 from collections.abc import Callable, Collection, Iterator

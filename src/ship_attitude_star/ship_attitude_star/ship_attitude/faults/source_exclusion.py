@@ -5,7 +5,8 @@ is gone. An offset that keeps growing is a drift of the INS, which is then exclu
 shift of a single device its mounting is estimated again, and the device is reinstated once it is consistent.
 
 Which source is at fault, and when it is excluded, is decided by
-:mod:`ship_attitude_star.ship_attitude.faults.fault_detection`.
+:mod:`ship_attitude_star.ship_attitude.faults.fault_detection`; an INS whose clock steps is excluded by
+:mod:`ship_attitude_star.ship_attitude.faults.ins_fault_handling`.
 """
 
 import math

@@ -1,4 +1,9 @@
-"""Base class of the devices of all kinds of measurement, and the terms in which a measurement is linearised."""
+"""Base class of the devices of all kinds of measurement, and the terms in which a measurement is linearised.
+
+A new kind has a measurement and a subclass of :class:`Device` in this folder, its parameters in
+:mod:`ship_attitude_star.ship_attitude.config`, and its reader in :mod:`ship_attitude_star.messages.input_messages`
+(``docs/develop/add_a_sensor.md``).
+"""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
