@@ -119,6 +119,7 @@ def test_too_many_connections_are_closed_with_one_line(page, lines):
 
 
 def test_too_many_pages_are_refused_until_others_are_closed(page, lines, monkeypatch):
+    assert server.MAX_PAGES == 32
     monkeypatch.setattr(server, "MAX_PAGES", 5)  # few pages: none is closed while the others are opened
     assert [status(page, "/") for _ in range(8)] == [200] * 5 + [503] * 3
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503

@@ -36,7 +36,9 @@ class Terminal:
         self._call("set", "-g", "status", "off")
 
     def _call(self, *arguments):
-        return subprocess.run([*self._tmux, *arguments], check=True, capture_output=True, text=True).stdout
+        done = subprocess.run([*self._tmux, *arguments], check=False, capture_output=True, text=True)
+        assert done.returncode == 0, f"tmux {arguments[0]}: {done.stderr.strip()}"
+        return done.stdout
 
     def press(self, key):
         self._call("send-keys", key)
