@@ -326,7 +326,7 @@ class StarCore:
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
             return rejected_exposure(waiting.exposure, waiting.rejected_stars, contradiction)
-        sensor = self._sensor(waiting.exposure.source)
+        sensor = _sensor_config(self._config, waiting.exposure.source)
         exposure, noise_variance, error_variance = self._ins.at_middle(waiting.exposure, sensor)
         prior = self._ins.sensor_prior(exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
@@ -367,12 +367,13 @@ class StarCore:
         # An unknown rotation is neglected: that exposure is within ``simultaneous_s`` of the first exposure.
         turns, covariance_d = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
-            replace(placed, rotation_ds=turn @ self._sensor(placed.source).rotation_ds)
+            replace(placed, rotation_ds=turn @ _sensor_config(self._config, placed.source).rotation_ds)
             for placed, turn in zip(group, turns, strict=True)
         ]
         prior = self._ins.deck_prior(time_ns)
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, covariance_d, self._config.star_sensors, prior)
 
-    def _sensor(self, source: str) -> ObservingSensorConfig:
-        return self._config.star_sensors[source.partition(".")[2]]
+
+def _sensor_config(config: StarAttitudeConfig, source: str) -> ObservingSensorConfig:
+    return config.star_sensors[source.partition(".")[2]]

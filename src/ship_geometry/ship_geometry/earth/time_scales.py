@@ -35,7 +35,7 @@ UNIX_EPOCH_MJD = 40_587
 _UNIX_EPOCH_JD = 2_440_587.5
 
 NEVER_NS = -(2**62)
-"""Stamp before any other stamp, for an event that has not occurred."""
+"""Stamp before any other stamp: of an event that has not occurred, or since all time."""
 
 _EXPIRY = re.compile(r"File expires on (\d{1,2} \w+ \d{4})")
 

@@ -112,5 +112,3 @@ class CarrierMotion:
     turn: Turn = section(Turn)
     sea: Sea = section(Sea)
     recording: Recording = section(Recording)
-
-
