@@ -8,5 +8,5 @@
 - ``plausibility`` checks the inputs; ``ins_errors`` are the error processes of an INS.
 - ``vertical`` has the deflection of the vertical along the track.
 
-Each folder imports only folders named below it. Sky, camera and star solution are in :mod:`ship_stars`.
+Each room imports only rooms named below it. Sky, camera and star solution are in :mod:`ship_stars`.
 """

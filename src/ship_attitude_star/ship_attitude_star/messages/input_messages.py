@@ -1,9 +1,9 @@
-"""Inputs of ``ship_attitude`` from the sensors that are compared with the INS: topics, and readers of their messages.
+"""Inputs of ``ship_attitude`` from the sensors that are compared with the INS, and the reader of deflections.
 
 A reader checks a message and converts it to the data class of the core. The readers of single messages use only
-attributes, so any message class can be used. For a message that cannot be used
-they raise :class:`ship_node.messages.field_checks.MessageRejected`. The reader of a batch converts all regular messages
-at once, with bit-identical results; it returns None for a message that must be read alone.
+attributes, so any message class can be used. For a message that cannot be used they raise
+:class:`ship_node.messages.field_checks.MessageRejected`. The reader of a block converts all regular messages at once,
+with bit-identical results; its result is None for each message that must be read alone.
 """
 
 import functools

@@ -160,6 +160,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
 
     def add_surroundings(self, given: SkyInput | DeflectionReading) -> AttitudeOutcome:
         """Add a position fix, an air reading or a deflection of the vertical; evaluate affected measurements again."""
+        assert self.vertical is not None or not isinstance(given, DeflectionReading)
         stores: list[tuple[Any, Callable[[Measurement], bool]]] = []
         if self.sky_model is not None and not isinstance(given, DeflectionReading):
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
@@ -168,7 +169,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
             stores.append((self.vertical, lambda _used: True))
         outcome = AttitudeOutcome()
         if stores:
-            # Both stores check position fixes equally.
+            # A position fix is in both stores; the decision of the sky model is reported.
             outcome.rejection = stores[0][0].rejection(given)
             self._estimator.stamp_conflicts.record(given.source, given.time_ns, outcome.rejection)
         for store, is_affected in stores:
