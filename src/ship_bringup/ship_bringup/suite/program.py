@@ -57,7 +57,8 @@ class Restarts:
     """Restarts of one program, unlimited: the first at once, then with delays that double up to 30 s.
 
     Attributes:
-        consecutive_count: number of ends in a row; after a run of at least :data:`STEADY_S` a new row begins.
+        consecutive_count: number of ends in a row; after a run of at least :data:`STEADY_S` with a
+            heartbeat a new row begins.
     """
 
     consecutive_count: int = field(default=0, init=False)

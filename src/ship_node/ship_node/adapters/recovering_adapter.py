@@ -167,9 +167,11 @@ class RecoveringAdapter(NodeAdapter):
 
     def call_cores(self, call: Callable[[Any], None]) -> None:
         """See :class:`NodeAdapter`; also calls the second estimator, whose exceptions are stored."""
-        super().call_cores(call)
-        if self.recovery.candidate is not None:
-            self.recovery.candidate.call(call)
+        try:
+            super().call_cores(call)
+        finally:
+            if self.recovery.candidate is not None:
+                self.recovery.candidate.call(call)
 
     # -- once a second --------------------------------------------------------------------------------------
 
