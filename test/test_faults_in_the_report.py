@@ -57,7 +57,7 @@ def fault_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPa
     folder = tmp_path_factory.mktemp(request.param)
     given, out = replay_with_faults(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
-        start_ns = played.start_ns or 0
+        start_ns = played.start_ns
     data = read_report_data(out, given)
     (folder / "report.html").write_text(page(data))
     return FaultReport(request.param, start_ns, data, folder / "report.html")

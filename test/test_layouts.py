@@ -35,7 +35,7 @@ def messages_of(bag_name: str, folder: Path) -> MessagesByTopic:
         for attachment, data in whole.attachments.items():
             writer.add_attachment(attachment, data)
         for record in whole.records():
-            if record.log_time_ns > (whole.start_ns or 0) + REPLAYED_S * 10**9:
+            if record.log_time_ns > whole.start_ns + REPLAYED_S * 10**9:
                 break
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     assert replay([str(given), "--out", str(result)]) == 0

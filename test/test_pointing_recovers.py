@@ -101,7 +101,7 @@ def replay_with_faults(
     taken = {topic.topic for topic in chain.inputs}
     with read_bag(path) as bag:
         for record in Injection(path, {f"f{number}": one for number, one in enumerate(faults)}, 1).records(bag):
-            if record.log_time_ns > (bag.start_ns or 0) + SESSION_S * NS_PER_S:
+            if record.log_time_ns > bag.start_ns + SESSION_S * NS_PER_S:
                 break
             if record.topic in taken:
                 run.process_message(record.topic, record)
@@ -112,7 +112,7 @@ def replay_with_faults(
 def read_result(path: Path, *faults: Fault, **changes: object) -> ReplayResult:
     truths = {}
     with read_bag(path) as bag:
-        start_ns = bag.start_ns or 0
+        start_ns = bag.start_ns
         for orientation in ORIENTATIONS:
             truths[orientation.topic] = Truth(orientation)
             for record in bag.records({orientation.truth_topic}):

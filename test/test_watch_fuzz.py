@@ -36,7 +36,7 @@ def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
             wanted = [topic for topic, type_name in bag.topics.items() if monitored_topic(topic, type_name)]
             kinds, last = {topic: kind_of(bag.topics[topic]) for topic in wanted}, dict.fromkeys(wanted, 0)
             for record in bag.records(wanted):
-                if record.log_time_ns > (bag.start_ns or 0) + SECONDS * 1_000_000_000:
+                if record.log_time_ns > bag.start_ns + SECONDS * 1_000_000_000:
                     break
                 if record.log_time_ns - last[record.topic] >= 100_000_000 or "innovation" in record.topic:
                     last[record.topic] = record.log_time_ns

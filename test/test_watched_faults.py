@@ -102,7 +102,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     given, replayed_path = replay_with_faults(tmp_path, bag, FAULTS[bag])
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
-        start_ns = played.start_ns or 0
+        start_ns = played.start_ns
     monitor, manager, named = (
         SuiteMonitor(Limits()),
         AlertManager(Limits(), None, start_ns, print),
@@ -172,7 +172,7 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     files = ["--faults", str(tmp_path / "faults.yaml"), "--out", str(faulty), "--seed", "1"]
     assert inject([str(BAGS / f"{bag}.mcap"), *files]) == 0
     with read_bag(faulty) as played:
-        named = FirstReports(bag, played.start_ns or 0)
+        named = FirstReports(bag, played.start_ns)
     suite = SuiteUnderTest(faulty, tmp_path)
     acknowledged = ""
     try:

@@ -131,7 +131,7 @@ def _replay(leg: DemoRun) -> Path:
 def _run_live(leg: DemoRun, rate: float, console: Console) -> Path:
     """Play the bag through the live node and print the lost messages; return the recording."""
     with read_bag(leg.bag_path) as bag:
-        length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+        length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
     node = leg.adapter.node_name
     print(f"{_short_path(leg.bag_path)}: {length_s:.0f} s, played at {rate:g} times real time to the live node {node}")
     with LiveRun(leg.bag_path, leg.adapter, leg.package, FOLDER / leg.bag) as run:

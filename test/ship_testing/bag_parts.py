@@ -11,7 +11,7 @@ from ship_bags.stamps import NS_PER_S
 def write_beginning(whole_path: Path, path: Path, length_s: float) -> Path:
     """Write the first seconds of a bag, with its attachments."""
     with read_bag(whole_path) as bag:
-        end_ns = (bag.start_ns or 0) + round(length_s * NS_PER_S)
+        end_ns = bag.start_ns + round(length_s * NS_PER_S)
     return write_part(whole_path, path, lambda record: record.log_time_ns <= end_ns)
 
 

@@ -102,7 +102,7 @@ def make_black_box(
         files = RecordingFiles()
         adapter = node.adapter_class(config, RosidlFactory(), files)
         kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
-        start_ns = bag.start_ns or 0
+        start_ns = bag.start_ns
         records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
         records = [r for r in records if not is_lost(r.log_time_ns - start_ns)]
 

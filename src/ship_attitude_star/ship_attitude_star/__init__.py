@@ -1,7 +1,7 @@
 """Ship attitude from an INS and star sensors: the cores and the nodes.
 
 - ``nodes`` starts the nodes; ``adapters`` define which topic feeds which method of a core.
-- ``messages`` converts messages to samples and results to messages.
+- ``messages`` has the inputs from the sensors, and converts messages to samples and results to messages.
 - ``smoothing`` improves attitudes by later measurements.
 - ``star_attitude`` is the core of the node that publishes attitudes by stars; ``ship_attitude`` is the core of the node
   that fuses an INS with attitudes by stars or with single stars.

@@ -318,6 +318,22 @@ def test_an_exception_of_the_second_estimator_does_not_prevent_new_parameters(mo
     assert "ZeroDivisionError" in report.reason_text
 
 
+def test_the_second_estimator_gets_new_parameters_although_the_first_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = []
+
+    def change(run: Run, since_s: float) -> None:
+        if since_s >= FAULTY_S + 20.0 and not seconds:
+            seconds.append(run.adapter.recovery.candidate.core)
+            with monkeypatch.context() as first:
+                first.setattr(run.adapter.core, "reconfigure", lambda _config: 1 / 0)
+                with pytest.raises(ZeroDivisionError):
+                    run.adapter.set_parameters({"ins.white_sigma_arcsec": 2.5})
+
+    run = run_voyage(calm(), then=change)
+    assert run.adapter.core is seconds[0]
+    assert run.adapter.core.config.ins.white_sigma_arcsec == 2.5
+
+
 def test_the_second_estimator_gets_each_input_although_the_first_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     calls, started_s = [], FAULTY_S + 30.0
 

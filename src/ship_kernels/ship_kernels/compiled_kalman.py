@@ -24,7 +24,7 @@ if not cython.compiled:
 from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.libc.string import memcpy, memset
 
-_JACOBI_SWEEPS = 12
+_JACOBI_SWEEPS = cython.declare(cython.int, 12)
 """Maximum number of Jacobi sweeps; the off-diagonal elements of a 3 × 3 matrix vanish to the last bit after five."""
 
 

@@ -546,12 +546,13 @@ def propagate_by_rates(
         rotations: attitudes of the samples, shape (N, 3, 3).
         rates: rates of each sample and of the samples before it, newest first, rad/s, shape (N, k, 3), k at least 2.
         steps_s: intervals between these samples, s, shape (N, k - 1).
-        ahead_s: time by which each sample is propagated, s, shape (N,).
+        ahead_s: time after each sample, negative for a time before it, s, shape (N,).
         any_direction: share of an error that may have any direction.
         largest: maximum of the sum of the errors' squares, rad²; with a larger sum the covariance is scaled down.
 
     Returns:
-        The propagated attitudes, their rates, and the covariance of the propagation error, rad².
+        The propagated attitudes, shape (N, 3, 3), their rates, rad/s, shape (N, 3), and the covariances of the
+        propagation error, rad², shape (N, 3, 3).
     """
     samples: cython.Py_ssize_t = rotations.shape[0]
     count: cython.Py_ssize_t = rates.shape[1]

@@ -1,4 +1,4 @@
-"""Compiled conversions of attitudes against the same functions for arrays in plain numpy.
+"""Compiled conversions of attitudes against scipy, against arrays in plain numpy where these exist, and back.
 
 "Equal" allows a difference of 1e-13, in radians or without a unit; covariances are of unit size.
 """
@@ -42,6 +42,10 @@ def test_rotations_by_angles_are_those_of_scipy_and_lead_back() -> None:
     equal(compiled_rotations.angles(found), angles)
     for rotation, (azimuth, elevation, roll) in zip(found, angles, strict=True):
         np.testing.assert_array_equal(rotation_from_angles(azimuth, elevation, roll), rotation)
+
+
+def test_angles_of_rotations_of_all_sizes_lead_back() -> None:
+    equal(compiled_rotations.rotations(compiled_rotations.angles(rotations())), rotations())
 
 
 def test_an_azimuth_is_below_a_full_turn_and_zero_has_no_sign() -> None:

@@ -1,4 +1,4 @@
-"""INS messages read as a batch equal those read one by one, to the last bit; a batch ends before a differing message.
+"""INS messages read as a block equal those read one by one, to the last bit; a block ends before a differing message.
 """
 
 import functools
@@ -51,7 +51,7 @@ def receive_times(count: int = COUNT) -> np.ndarray:
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-def test_a_batch_equals_its_messages(config: InsInputConfig) -> None:
+def test_a_block_equals_its_messages(config: InsInputConfig) -> None:
     messages = [message(number) for number in range(COUNT)]
     found = ins_block(rows(messages), receive_times(), config)
     alone = [ins_sample(one, config, int(now_ns)) for one, now_ns in zip(messages, receive_times(), strict=True)]
@@ -81,12 +81,12 @@ REJECTED = {
 
 
 @pytest.mark.parametrize("changes", REJECTED.values(), ids=REJECTED)
-def test_a_batch_ends_before_a_differing_message(changes: dict[str, Any]) -> None:
+def test_a_block_ends_before_a_differing_message(changes: dict[str, Any]) -> None:
     messages = [message(number, **(changes if number == ODD else {})) for number in range(COUNT)]
     assert len(ins_block(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
 
 
-def test_a_batch_ends_before_an_invalid_stamp() -> None:
+def test_a_block_ends_before_an_invalid_stamp() -> None:
     messages = [message(number) for number in range(COUNT)]
     messages[ODD].header.stamp.nanosec = 1_000_000_000
     assert len(ins_block(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD
@@ -101,7 +101,7 @@ def test_a_batch_ends_before_an_invalid_stamp() -> None:
     ],
     ids=["covariance", "no orientation", "frame"],
 )
-def test_a_batch_of_bad_messages_is_empty(changes: dict[str, Any], config: InsInputConfig) -> None:
+def test_a_block_of_bad_messages_is_empty(changes: dict[str, Any], config: InsInputConfig) -> None:
     messages = [message(number, **changes) for number in range(COUNT)]
     assert len(ins_block(rows(messages), receive_times(), config).samples.times_ns) == 0
     with pytest.raises(MessageRejected):

@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
-from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Inbox, NodeEvents, ReceivedMessage
+from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Inbox, NodeEvents, WaitingMessage
 from ship_node.live.node_report import ExceptionGuard
 from ship_node.messages.common_messages import Level
 
@@ -115,8 +115,8 @@ def test_no_message_or_request_is_late_after_dropped_events(context):
     node.destroy_node()
 
 
-def new_messages(topic: str, *numbers: int) -> list[ReceivedMessage]:
-    return [ReceivedMessage(topic, bytes([number]), number, number) for number in numbers]
+def new_messages(topic: str, *numbers: int) -> list[WaitingMessage]:
+    return [WaitingMessage(topic, bytes([number]), number, number) for number in numbers]
 
 
 def take_all(inbox: Inbox) -> list[tuple[str, int]]:
@@ -145,15 +145,15 @@ def test_a_flood_on_one_topic_displaces_only_its_own_oldest_messages() -> None:
 
 def test_an_oversized_message_is_not_queued() -> None:
     inbox = Inbox({"star": 2})
-    inbox.add(ReceivedMessage("star", bytes(MAX_MESSAGE_BYTES + 1), 1, 1))
-    inbox.add(ReceivedMessage("star", bytes(MAX_MESSAGE_BYTES), 2, 2))
+    inbox.add(WaitingMessage("star", bytes(MAX_MESSAGE_BYTES + 1), 1, 1))
+    inbox.add(WaitingMessage("star", bytes(MAX_MESSAGE_BYTES), 2, 2))
     assert list(inbox.take_cuts().items()) == [(("star", f"larger than {MAX_MESSAGE_BYTES} bytes"), 1)]
     assert take_all(inbox) == [("star", 2)]
 
 
-def stamped_messages(topic: str, *seconds: int) -> list[ReceivedMessage]:
+def stamped_messages(topic: str, *seconds: int) -> list[WaitingMessage]:
     stamps = [second.to_bytes(4, "little") + bytes(4) for second in seconds]
-    return [ReceivedMessage(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
+    return [WaitingMessage(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
 
 
 def test_an_overload_cuts_all_topics_at_one_time() -> None:
@@ -202,8 +202,8 @@ def test_a_future_stamp_at_a_cut_drops_no_later_message(ins_s, first_taken_s) ->
 
 def test_a_message_without_a_stamp_is_cut_once() -> None:
     inbox = Inbox({"ins": 10})
-    inbox.add(ReceivedMessage("ins", bytes(3), 1, 1))
+    inbox.add(WaitingMessage("ins", bytes(3), 1, 1))
     inbox.cut_all(2, 2, 2)
-    inbox.add(ReceivedMessage("ins", bytes(3), 3, 3))
+    inbox.add(WaitingMessage("ins", bytes(3), 3, 3))
     assert inbox.take_overload_cuts() == {"ins": 1}
     assert take_all(inbox) == [("ins", 3)]

@@ -125,7 +125,7 @@ def draw_injection(bag_path: Path, seed: int) -> Injection:
     mode = (SINGLE, OVERLAPPING)[seed % 2]
     with read_bag(bag_path) as bag:
         rng = random_stream(seed, f"voyage.{mode}")
-        length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+        length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
         drawn = draw_faults(input_topics(bag), length_s, mode, IntegrityConfig().return_after_s, rng)
     return Injection(bag_path, {f"f{number}": one.fault for number, one in enumerate(drawn)}, seed)
 
@@ -147,7 +147,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
     """The filter is corrupted after 20 s; half a minute later the second estimator replaces it."""
     bag, adopted, faulty = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
     with read_bag(bag) as content:
-        start_ns = content.start_ns or 0
+        start_ns = content.start_ns
     look = ShipAttitudeAdapter._decide
 
     def decide_with_fault(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:

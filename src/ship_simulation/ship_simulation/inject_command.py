@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter, TypeDefinitio
 from ship_bags.output_files import add_force_option, check_file
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, add_bag_name_options, relative_topics
-from ship_simulation.faults.device_geometry import Optics, optics_of_suite
+from ship_simulation.faults.device_geometry import SuiteOptics, optics_of_suite
 from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault, kind_rows
 from ship_simulation.scenario.scenario_file import load_faults
@@ -40,14 +40,14 @@ def injectable_topics(bag: Bag, namespace: str = "") -> dict[str, str]:
     return {name: bag.topics[full] for name, full in topics.items() if not name.startswith(TRUTH_PREFIX)}
 
 
-def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") -> Optics:
+def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") -> SuiteOptics:
     """Return the cameras of the devices that the attached suite file describes.
 
     Raises:
         BadInput: the suite file is invalid, or a fault needs a camera that is not described.
     """
     text = bag.attachments.get(SUITE_ATTACHMENT, b"").decode("utf-8", errors="replace")
-    optics = optics_of_suite(text) if text else Optics()
+    optics = optics_of_suite(text) if text else SuiteOptics()
     topics = injectable_topics(bag, namespace)
     for name, fault in faults.items():
         missing = optics.missing_camera_reason(fault, topics[fault.topic])
@@ -154,7 +154,7 @@ class Injection:
         )
 
     def _faulty_records(
-        self, bag: Bag, name: str, deliveries: Iterator[Delivery], optics: Optics
+        self, bag: Bag, name: str, deliveries: Iterator[Delivery], optics: SuiteOptics
     ) -> Iterator[tuple[int, int, BagRecord]]:
         faults = {
             key: fault
@@ -162,7 +162,7 @@ class Injection:
             if relative_topics([name], self.namespace).get(fault.topic) == name
         }
         type_name, store = bag.topics[name], bag.store
-        for delivery in apply_faults(deliveries, type_name, faults, bag.start_ns or 0, self.seed, optics):
+        for delivery in apply_faults(deliveries, type_name, faults, bag.start_ns, self.seed, optics):
             data = delivery.data
             if data is None:
                 data = bytes(store.serialize_cdr(delivery.message, type_name, little_endian=True))

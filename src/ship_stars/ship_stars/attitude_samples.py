@@ -255,8 +255,8 @@ class AttitudeEstimate:
     horizon: Horizon
     sources: tuple[str, ...]
     star_age_s: float
+    rate_d: FloatArray
     state: Any = field(repr=False)
-    rate_d: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     text: str = ""
 
 

@@ -13,7 +13,7 @@ from ship_node.messages.field_checks import MessageRejected
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
 from ship_stars.messages.star_messages import MAX_STARS, ExposingSensor, star_exposure
-from ship_stars.sky.catalogue import hipparcos
+from ship_stars.sky.catalogue import hipparcos, julian_year
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000
@@ -71,6 +71,8 @@ def test_pixels_become_directions_and_numbers_become_positions() -> None:
     assert exposure.positions.pm_declination[0] / ARCSEC == pytest.approx(0.286, abs=0.001)
     # Position accurate to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
     assert 0 < exposure.position_sigma[0] < 0.02 * ARCSEC
+    at_stamp = hipparcos().position_sigma_at(hipparcos().rows(np.array([VEGA])), julian_year(STAMP_NS))
+    assert exposure.position_sigma[0] == at_stamp[0]
     assert exposure.is_identified.all()
     assert np.isnan(exposure.magnitude[0])
     assert exposure.magnitude[1] == pytest.approx(1.3)

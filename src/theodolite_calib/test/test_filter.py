@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from ship_estimation.innovations.gates import mean_nees_band
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -48,6 +49,27 @@ EVERYTHING = {
 def sightings_of(settings, count: int, seed: int = 3) -> list[Sighting]:
     times_s = np.arange(float(count))
     return session(settings, seed, times_s, sweep(times_s)).sightings
+
+
+def arrays_of(state: CalibrationState) -> list[FloatArray]:
+    return [
+        state.mean, state.covariance_by_source, state.observability, state.subfilters.mean, state.subfilters.covariances
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("later_s", [0, 1])
+def test_a_propagation_changes_nothing_in_place(later_s: int) -> None:
+    """States are used again after late data. The stated covariance of the ship's error decreases by a step here."""
+    filter_ = CalibrationFilter(config(**EVERYTHING))
+    mean = np.arange(1.0, filter_.model.size + 1.0) * ARCSEC
+    state = filter_.initial_state_from(mean, filter_.model.initial_covariance_by_source())
+    state = filter_.propagate(state, SECOND_NS, np.diag(np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2)
+    before = [array.copy() for array in arrays_of(state)]
+    after = filter_.propagate(state, (1 + later_s) * SECOND_NS, (2.0 * ARCSEC) ** 2 * np.eye(3))
+    ship = filter_.ship_error.columns
+    assert np.all(np.abs(after.mean[ship]) < np.abs(state.mean[ship]))
+    for array, earlier in zip(arrays_of(state), before, strict=True):
+        np.testing.assert_array_equal(array, earlier)
 
 
 def run_filter(filter_: CalibrationFilter, sightings: list[Sighting]) -> CalibrationState:

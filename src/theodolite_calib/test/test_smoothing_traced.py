@@ -11,7 +11,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.smoothing import TracedFilter, TracedState
+from theodolite_calib.smoothing import TracedCalibration, TracedFilter
 
 SETTINGS = config()
 
@@ -28,7 +28,7 @@ def step_state(filter_: CalibrationFilter, state: CalibrationState, sighting: Si
     return filter_.update_by_beacons(predicted, sighting, comparison)[0]
 
 
-def with_excluded(state: TracedState, source: str) -> TracedState:
+def with_excluded(state: TracedCalibration, source: str) -> TracedCalibration:
     """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
     left_out = {source: AxisExclusion(state.time_ns, reason="it lies")}
@@ -55,7 +55,7 @@ def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     first, second = sightings(2)
     before = step_state(filter_, filter_.initial_state(), first)
     after = step_state(filter_, before, second)
-    assert isinstance(after, TracedState)
+    assert isinstance(after, TracedCalibration)
     assert after.last_update is not None
     predicted = filter_.propagate(before, second.time_ns, second.ship.correlated_covariance_n)
     np.testing.assert_array_equal(after.last_update.predicted.covariance, predicted.covariance)
@@ -63,7 +63,7 @@ def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     assert after.last_update.is_update
     jump = EncoderJump(second.time_ns + 7, np.array([1e-3, 0.0]), 1e-4)
     inflated = filter_.inflate_covariance(after, jump)
-    assert isinstance(inflated, TracedState)
+    assert isinstance(inflated, TracedCalibration)
     assert inflated.last_update is not None
     assert inflated.last_update.is_update
     assert inflated.last_update.jumped_ns == jump.time_ns
@@ -77,9 +77,9 @@ def test_excluded_axis_sources_are_not_smoothed(source: str) -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
     before = step_state(filter_, filter_.initial_state(), first)
-    assert isinstance(before, TracedState)
+    assert isinstance(before, TracedCalibration)
     after = step_state(filter_, with_excluded(before, source), second)
-    assert isinstance(after, TracedState)
+    assert isinstance(after, TracedCalibration)
     assert after.last_update is not None
     assert after.last_update.is_update == (source == DRONE)
 
@@ -92,6 +92,6 @@ def test_an_estimate_without_a_source_leads_nowhere_back() -> None:
     comparison = filter_.compare(predicted, second)
     assert comparison is not None
     after, _ = filter_.update_by_beacons(filter_.exclude_source(predicted, DRONE), second, comparison)
-    assert isinstance(after, TracedState)
+    assert isinstance(after, TracedCalibration)
     assert after.last_update is not None
     assert not after.last_update.is_update

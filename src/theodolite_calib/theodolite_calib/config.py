@@ -304,5 +304,5 @@ class OpticalAxisConfig:
 
 
 def _refusal(name: str, value: float, expected: str, unit: str = "") -> ParameterError:
-    """Return the error of a parameter that cannot be met together with others."""
+    """Return the error of a parameter that contradicts a limit or other parameters."""
     return ParameterError(f"parameter '{name}' = {value:g}{unit and ' ' + unit}: {expected}", name, value=value)

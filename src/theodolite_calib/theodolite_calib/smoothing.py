@@ -47,7 +47,7 @@ AxisAnchor = Anchor[FloatArray | None]
 
 
 @dataclass(frozen=True)
-class TracedState(CalibrationState):
+class TracedCalibration(CalibrationState):
     """State with its last update.
 
     Attributes:
@@ -68,9 +68,9 @@ class TracedState(CalibrationState):
 class TracedFilter(CalibrationFilter):
     """:class:`CalibrationFilter` whose states record their updates; the results are bit-identical."""
 
-    def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> TracedState:
+    def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> TracedCalibration:
         """See :meth:`CalibrationFilter.initial_state_from`."""
-        return TracedState(**vars(super().initial_state_from(mean, covariance_by_source)))
+        return TracedCalibration(**vars(super().initial_state_from(mean, covariance_by_source)))
 
     def propagate(
         self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None
@@ -111,7 +111,7 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
     The smoother takes no backward step over the update if an axis source is excluded or a subfilter became the main
     filter.
     """
-    assert isinstance(predicted, TracedState)
+    assert isinstance(predicted, TracedCalibration)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded.keys() & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
     return replace(
@@ -121,7 +121,7 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
 
 
 def _trace_fields(**values: Any) -> Mapping[str, Any]:
-    """Return fields of a :class:`TracedState`; the base class's methods are typed for states without these fields."""
+    """Return fields of a :class:`TracedCalibration`; the base class's methods are typed for states without them."""
     return values
 
 
@@ -157,7 +157,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         self._pending: deque[_RealTimePointing] = deque()
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._estimator.oldest_state
-        assert isinstance(oldest, TracedState)
+        assert isinstance(oldest, TracedCalibration)
         self._smoother: RtsSmoother[FloatArray | None] = RtsSmoother(self._new_predictor(), oldest)
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
@@ -210,7 +210,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     def _add_states(self, states: Sequence[CalibrationState]) -> None:
         for state in states:
-            assert isinstance(state, TracedState)
+            assert isinstance(state, TracedCalibration)
             self._smoother.add_state(state)
 
 
@@ -272,10 +272,8 @@ def _has_unresolved_fault(state: CalibrationState) -> bool:
 
 def _copy_without_state(estimate: PointingEstimate) -> PointingEstimate:
     """Return a copy without state and covariance by source that shares no arrays with other pointings."""
-    estimate = replace(estimate, covariance_by_source_n=_NO_PARTS, state=None)
-    return replace(
-        estimate, **{name: value.copy() for name, value in vars(estimate).items() if isinstance(value, np.ndarray)}
-    )
+    arrays = {name: value.copy() for name, value in vars(estimate).items() if isinstance(value, np.ndarray)}
+    return replace(estimate, **(arrays | {"covariance_by_source_n": _NO_PARTS, "state": None}))
 
 
 class AxisStatePredictor:

@@ -16,7 +16,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.replay import ADAPTERS
-from ship_simulation.faults.device_geometry import Optics
+from ship_simulation.faults.device_geometry import SuiteOptics
 from ship_simulation.inject_command import optics_of_bag
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -165,7 +165,7 @@ class VoyageData:
     messages: list[Message]
     start_ns: int
     truths: dict[str, Truth]
-    optics: Optics
+    optics: SuiteOptics
 
     def chain(self) -> AdapterChain:
         """Return new nodes."""
@@ -193,4 +193,4 @@ def load_voyage(path: Path) -> VoyageData:
             truths[orientation.topic] = Truth(orientation)
             for record in bag.records({orientation.truth_topic}):
                 truths[orientation.topic].add(record.decode())
-        return VoyageData(path, topics, messages, bag.start_ns or 0, truths, optics_of_bag(bag, {}))
+        return VoyageData(path, topics, messages, bag.start_ns, truths, optics_of_bag(bag, {}))

@@ -81,7 +81,7 @@ def run_voyage(voyage: Voyage, fault_free: FaultFreeReplay) -> dict[str, Any]:
     """
     start_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
-        length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+        length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
         topics = input_topics(bag)
         rng = random_stream(voyage.number, f"voyage.{voyage.mode}")
         drawn = draw_faults(topics, length_s, voyage.mode, IntegrityConfig().return_after_s, rng)
@@ -151,8 +151,8 @@ def replay_fault_free(path: Path) -> FaultFreeReplay:
             beacon_times_ns=np.array(beacon_times_ns),
             encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
             ins_sigma_arcsec=math.nan if ship is None else ship.ins.white_sigma_arcsec,
-            start_ns=bag.start_ns or 0,
-            end_ns=bag.end_ns or 0,
+            start_ns=bag.start_ns,
+            end_ns=bag.end_ns,
         )
 
 

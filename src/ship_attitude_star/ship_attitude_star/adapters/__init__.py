@@ -1,1 +1,1 @@
-"""Adapters of the nodes: which topic feeds which method of a core, and the alignment file."""
+"""Adapters of the nodes: which topic feeds which method of a core (sensors: ``messages``), and the alignment file."""

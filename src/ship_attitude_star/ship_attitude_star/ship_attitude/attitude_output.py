@@ -116,6 +116,7 @@ def estimate_from_star(
         horizon=Horizon.GRAVITY if to_gravity else Horizon.GEODETIC,
         sources=(measurement.source,),
         star_age_s=0.0,
+        rate_d=np.full(3, np.nan),
         state=state,
         text="no INS data, stars alone",
     )
@@ -134,6 +135,7 @@ def invalid_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text:
         horizon=Horizon.GRAVITY,
         sources=(),
         star_age_s=float("nan") if star_ns is None else (now_ns - star_ns) / SECOND_NS,
+        rate_d=np.full(3, np.nan),
         state=state,
         text=text,
     )

@@ -45,7 +45,8 @@ class ShipFilter:
     Args:
         config: configuration of the node.
         vertical: vertical along the track; None if the configuration does not need it.
-        records_updates: True to record the last update in each state, for smoothing.
+        records_updates: True to record in the state the update by each accepted measurement, for smoothing. The
+            smoothing core records the changes of the INS.
     """
 
     def __init__(

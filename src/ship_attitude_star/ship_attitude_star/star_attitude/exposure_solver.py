@@ -98,7 +98,8 @@ class PlacedExposure:
         rejected_stars: stars rejected before the solution of the sensor or by this solution.
         turn_variance: variance of an error that rotates all directions equally, each axis, rad². This error remains
             after the correction for the motion during the exposure; the INS noise is not included.
-        rotation_ds: for a joint solution, rotation "deck at the common time from sensor at the exposure", shape (3, 3).
+        rotation_ds: for a joint solution, rotation "deck at the common time from sensor at the exposure", shape (3, 3),
+            set by the caller of :func:`solve_deck`; the identity for the solution of the sensor alone.
     """
 
     source: str

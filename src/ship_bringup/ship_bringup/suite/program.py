@@ -11,7 +11,7 @@ from ship_bags.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from ship_bringup.suite.process import Process
 
 STEADY_S = 60.0
-"""Run time after which earlier ends are no longer counted, s."""
+"""Run time of a program that has sent a heartbeat, after which earlier ends are no longer counted, s."""
 
 _LONGEST_DELAY_S = 30.0
 """Longest pause before a restart, s."""
@@ -57,8 +57,8 @@ class Restarts:
     """Restarts of one program, unlimited: the first at once, then with delays that double up to 30 s.
 
     Attributes:
-        consecutive_count: number of ends in a row; after a run of at least :data:`STEADY_S` with a
-            heartbeat a new row begins.
+        consecutive_count: number of ends in a row; after a run of at least :data:`STEADY_S`, with
+            heartbeats, a new row begins.
     """
 
     consecutive_count: int = field(default=0, init=False)

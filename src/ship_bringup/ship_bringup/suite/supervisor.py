@@ -29,7 +29,7 @@ from ship_bringup.suite.program import Program, Role, SupervisedProgram, end_tex
 from ship_estimation.rejection_rules import failure_rejection
 
 LARGEST_FILE_BYTES = 5_000_000
-"""Maximum size of the file; a larger file is renamed to ``NAME.log.1``."""
+"""Maximum size of the file of a :class:`SuiteLog`, bytes; a larger file is renamed to ``NAME.log.1``."""
 
 _WRITE_TIMEOUT_MS = 200
 

@@ -19,7 +19,7 @@ from ship_kernels import compiled_checks
 _HISTORY_NS = 2_000_000_000
 """Maximum age of the recent attitudes of a reference that are compared with the current attitude, ns.
 
-The first attitude is always compared."""
+The first attitude is always compared. It is also the longest time after which a returning value counts as stuck."""
 _SPACING_NS = 250_000_000
 """Spacing of the attitudes in a history, ns."""
 _SIGMAS = 5.0

@@ -29,6 +29,7 @@ _SPACING_NS = 100_000_000
 """Spacing, ns, of the samples from which the motion is estimated without rates; with closer ones noise dominates."""
 
 _ERROR_BOUNDS = ANY_DIRECTION, LARGEST_VARIANCE
+"""Last two arguments of the compiled functions: ``any_direction`` and ``largest``."""
 
 MAX_RATES = 4
 """Maximum number of measured rates from which the angular acceleration and its change are computed."""

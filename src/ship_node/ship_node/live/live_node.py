@@ -25,7 +25,7 @@ from ship_geometry.input_error import InputError
 from ship_node.adapters.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import NodeClock, TickGrid
-from ship_node.live.node_events import Backlog, Inbox, NodeEvents, OverloadChange, ReceivedMessage, current_overload
+from ship_node.live.node_events import Backlog, Inbox, NodeEvents, OverloadChange, WaitingMessage, current_overload
 from ship_node.live.node_report import ExceptionGuard, NodeLog, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.node_topics import InputSubscriptions, create_publisher
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
@@ -170,7 +170,7 @@ class LiveNode:
         data, information = message
         now_ns, waiting_ns = self._clock.times()
         # The EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception, so queue_empty_ns stands for it.
-        self._inbox.add(ReceivedMessage(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
+        self._inbox.add(WaitingMessage(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
         if self._inputs.add_message(topic, information["publication_sequence_number"]):
             self._check_publishers(topic)
 

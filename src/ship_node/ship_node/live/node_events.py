@@ -193,7 +193,7 @@ def _answer_all(service: Service) -> None:
         service.send_response(service.callback(request, service.srv_type.Response()), header)
 
 
-class ReceivedMessage(NamedTuple):
+class WaitingMessage(NamedTuple):
     """Received message.
 
     Attributes:
@@ -232,7 +232,7 @@ class Inbox:
 
     def __init__(self, depths: Mapping[str, int], valid_until_next: Collection[str] = ()) -> None:
         self._depths, self._valid_until_next = depths, valid_until_next
-        self._waiting: OrderedDict[int, ReceivedMessage] = OrderedDict()
+        self._waiting: OrderedDict[int, WaitingMessage] = OrderedDict()
         self._numbers: dict[str, deque[int]] = {topic: deque() for topic in depths}
         self._next_number = 0
         self._cuts: Counter[tuple[str, str]] = Counter()
@@ -242,7 +242,7 @@ class Inbox:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: ReceivedMessage) -> None:
+    def add(self, message: WaitingMessage) -> None:
         """Add a received message, unless it is too large or its stamp is not after the cut time.
 
         If the queue of its topic is full, the oldest message there is dropped.
@@ -264,7 +264,7 @@ class Inbox:
         self._waiting[self._next_number] = message
         self._next_number += 1
 
-    def take(self) -> ReceivedMessage:
+    def take(self) -> WaitingMessage:
         """Remove and return the oldest message."""
         _, message = self._waiting.popitem(last=False)
         self._numbers[message.topic].popleft()

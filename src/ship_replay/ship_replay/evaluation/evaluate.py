@@ -152,7 +152,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     bags = [*others, bag]
     named = {other: relative_topics(other.topics, namespace) for other in others}
     named[bag] = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, _RUN_TOPICS))
-    length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+    length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
     if not 0.0 <= skip_s <= length_s:
         text = f"{skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag"
         raise BadInput(text, file=bag.path, value=skip_s)
@@ -175,7 +175,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
                 last[_ESTIMATES[topic]] = record
             else:
                 malformed.try_add(topic, collectors[topic].add_message, record.decode())
-    start_ns = bag.start_ns or 0
+    start_ns = bag.start_ns
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]

@@ -76,7 +76,7 @@ def replay(
                 records = sort_by_stamp(records, median_delay_ns(bag_path, names))
             for record in records:
                 run.process_message(names[record.topic], record)
-            if bag.last_time_ns is None or bag.start_ns is None:
+            if bag.last_time_ns is None:
                 problem_text = "".join(f"; {problem}" for problem in bag.problems)
                 looked_for = sorted(names) or sorted({topic.topic for topic in chain.inputs})
                 text = f"no message of {', '.join(looked_for)} could be read{problem_text}"

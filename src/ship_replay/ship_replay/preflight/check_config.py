@@ -35,8 +35,8 @@ from ship_stars.sky.config import SkyConfig
 _NODE_SPECIFIC_SKY_PARAMETERS = ("magnitude_limit", "refraction_time_s", "position_time_s")
 """Sky parameters that may differ between nodes: which stars a node identifies, and time constants of its filter."""
 
-
 INS_TOPIC = "ins/imu"
+"""Relative topic of the INS."""
 
 
 @dataclass

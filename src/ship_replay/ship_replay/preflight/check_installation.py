@@ -257,7 +257,7 @@ def _collect_images(
     """Return images with several lights, spread over the bag, and the unit vectors to the beacons by time."""
     topics = {f"beacon/{id_}/baseline": id_ for id_ in config.beacons if f"beacon/{id_}/baseline" in usable}
     relative = {usable[topic]: topic for topic in (*topics, _IMAGE_TOPIC)}
-    spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _IMAGES
+    spacing_ns = (bag.end_ns - bag.start_ns) // _IMAGES
     images: list[tuple[int, dict[str, FloatArray]]] = []
     baselines: dict[str, list[tuple[int, FloatArray]]] = {id_: [] for id_ in topics.values()}
     for record in bag.records(relative):

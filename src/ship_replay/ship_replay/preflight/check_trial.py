@@ -236,7 +236,7 @@ def check_trial(check: BagCheck) -> None:
     chain = AdapterChain([node.adapter for node in check.nodes])
     names = {check.topic_names[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.topic_names}
     run = ReplayRun(chain, NullSink(), ReplaySummary(), truth_topics=())
-    is_cut, until_ns = False, (bag.start_ns or 0) + round(TRIAL_S * NS_PER_S)
+    is_cut, until_ns = False, bag.start_ns + round(TRIAL_S * NS_PER_S)
     try:
         for record in bag.records(names) if names else ():
             if record.log_time_ns > until_ns:

@@ -27,6 +27,7 @@ from ship_geometry.tracks.attitude_track import AttitudeTrack
 from ship_geometry.tracks.sample_track import VectorTrack
 from ship_node.messages.field_checks import MessageRejected
 from ship_node.messages.sensor_readers import ins_sample
+from ship_replay.preflight.check_config import INS_TOPIC
 from ship_replay.preflight.measured_camera import CameraRecord, MeasuredCamera, measure_camera
 from ship_stars.camera.config import MountingConfig
 from ship_stars.messages.surroundings_messages import SURROUNDINGS, surroundings_reader
@@ -43,7 +44,6 @@ _FULL_TURN = 2.0 * np.pi
 _EPOCHS = 30
 """Number of times of the bag at which a device is compared with the INS."""
 
-_INS_TOPIC = "ins/imu"
 
 
 class AttitudeTracks:
@@ -158,8 +158,8 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
 
 def _ship_topic(config: Config, found: dict[str, str]) -> str:
     """Return the topic of the ship's attitude: the theodolite's source if the bag contains it, else the INS."""
-    source = config.ship.source if isinstance(config, OpticalAxisConfig) else _INS_TOPIC
-    return source if source in found else _INS_TOPIC
+    source = config.ship.source if isinstance(config, OpticalAxisConfig) else INS_TOPIC
+    return source if source in found else INS_TOPIC
 
 
 def _devices(config: Config) -> dict[str, tuple[str, Any]]:
@@ -179,7 +179,7 @@ def _devices(config: Config) -> dict[str, tuple[str, Any]]:
 def _sample_stamps(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
     """Return relative topic → stamps of messages spread over the bag."""
     stamps: dict[str, list[int]] = {relative: [] for relative in topics.values()}
-    spacing_ns = ((bag.end_ns or 0) - (bag.start_ns or 0)) // _EPOCHS
+    spacing_ns = (bag.end_ns - bag.start_ns) // _EPOCHS
     for record in bag.records(topics):
         stamp_ns, own = stamp_of_bytes(record.data), stamps[topics[record.topic]]
         if stamp_ns is not None and (not own or stamp_ns - own[-1] >= spacing_ns):
@@ -219,7 +219,7 @@ def _add_sample(
         message = record.decode()
         if topic == ENCODER_TOPIC:
             tracks.encoder.insert(mount_messages_in.encoder(message, config, receive_ns).value)
-        elif topic == _INS_TOPIC:
+        elif topic == INS_TOPIC:
             # Rates may have wrong units: use the attitudes only.
             tracks.ship.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif topic == tracks.ship_topic:

@@ -175,7 +175,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
                 file=path,
             )
         recording = RecordedHistory(
-            path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
+            path, content_sha256(path), bag.start_ns, bag.end_ns, limits,
             {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
         )
         _RecordingReader(recording, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})

@@ -55,7 +55,7 @@ _FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class Optics:
+class SuiteOptics:
     """Cameras of the devices.
 
     Attributes:
@@ -77,7 +77,7 @@ class Optics:
         return ""
 
 
-def optics_of_suite(text: str) -> Optics:
+def optics_of_suite(text: str) -> SuiteOptics:
     """Return the cameras that a suite file describes.
 
     Raises:
@@ -95,7 +95,7 @@ def optics_of_suite(text: str) -> Optics:
         if isinstance(values.get("telescope"), dict) and "focal_length_m" in values["telescope"]:
             focal_length_m, *principal_m = (values["telescope"].get(key, 0.0) for key in _TELESCOPE)
             telescope = Camera(focal_length_m, 0.0, np.array(principal_m))
-    return Optics(stars, telescope)
+    return SuiteOptics(stars, telescope)
 
 
 def _star_camera(prefix: str, values: Mapping[str, Any]) -> StarCamera:
@@ -105,7 +105,7 @@ def _star_camera(prefix: str, values: Mapping[str, Any]) -> StarCamera:
         raise BadInput(f"suite file: {problem}", parameters=problem.parameters, value=problem.value) from problem
 
 
-def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: Optics) -> None:
+def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: SuiteOptics) -> None:
     """Rotate a device in its own frame; the angular rates are then in the rotated axes."""
     back = exp_rotation(-turn)
     if type_name == OBSERVATIONS:

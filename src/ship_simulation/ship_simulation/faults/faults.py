@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_bags.stamps import stamp_fields
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_simulation.faults.device_geometry import Optics
+from ship_simulation.faults.device_geometry import SuiteOptics
 from ship_simulation.faults.values import ValueFault
 from ship_simulation.random_draws import random_stream
 from ship_simulation.scenario.fault import Fault
@@ -51,7 +51,7 @@ Deliveries = Iterator[Delivery]
 
 
 def apply_faults(
-    deliveries: Deliveries, type_name: str, faults: Mapping[str, Fault], start_ns: int, seed: int, optics: Optics
+    deliveries: Deliveries, type_name: str, faults: Mapping[str, Fault], start_ns: int, seed: int, optics: SuiteOptics
 ) -> Deliveries:
     """Return the deliveries of one topic with its faults, in order of arrival.
 

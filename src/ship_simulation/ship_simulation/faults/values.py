@@ -14,7 +14,7 @@ import numpy as np
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC, wrap_two_pi
-from ship_simulation.faults.device_geometry import Optics, convert_axes, turn_in_device, turn_in_horizon
+from ship_simulation.faults.device_geometry import SuiteOptics, convert_axes, turn_in_device, turn_in_horizon
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import (
     BASELINE,
@@ -77,7 +77,7 @@ class ValueFault:
 
     fault: Fault
     type_name: str
-    optics: Optics
+    optics: SuiteOptics
     rng: np.random.Generator
 
     def apply(self, message: Any, since_s: float) -> None:

@@ -12,7 +12,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.mount.image import Camera
 from ship_geometry.rotations import wrap_pi
-from ship_simulation.faults.device_geometry import Optics
+from ship_simulation.faults.device_geometry import SuiteOptics
 from ship_simulation.faults.faults import WATERMARK, Delivery, apply_faults
 from ship_simulation.messages.ship_messages import (
     Maker,
@@ -209,7 +209,7 @@ class _Topic:
             yield Delivery(WATERMARK, int(run.stretch.end_ns) - 1, None, 0)
 
 
-def _optics_of_scenario(scenario: Scenario) -> Optics:
+def _optics_of_scenario(scenario: Scenario) -> SuiteOptics:
     stars = {
         f"star/{key}/observations": sensor.camera.camera(key)
         for key, sensor in scenario.star_sensors.items()
@@ -218,7 +218,7 @@ def _optics_of_scenario(scenario: Scenario) -> Optics:
     stars |= {mount_stars_topic(key): one.camera.camera(key) for key, one in scenario.telescopes.items()}
     telescope = scenario.theodolite.telescope
     camera = Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m)
-    return Optics(stars, camera if scenario.theodolite.aboard else None)
+    return SuiteOptics(stars, camera if scenario.theodolite.aboard else None)
 
 
 def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:

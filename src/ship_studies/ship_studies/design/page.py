@@ -16,7 +16,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullForma
 from ship_geometry.frames import ENU_FROM_HORIZON
 from ship_node.pages.figure_files import legend_below
 from ship_node.pages.html_page import decimal_text, render
-from ship_studies.design.study import DesignStudy, Sweep
+from ship_studies.design.study import DesignStudy, DesignSweep
 
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _COLUMNS = 2
@@ -73,7 +73,7 @@ def _sweeps_figure(study: DesignStudy) -> Figure:
     return figure
 
 
-def _draw_sweep(axes: Axes, sweep: Sweep, study: DesignStudy) -> None:
+def _draw_sweep(axes: Axes, sweep: DesignSweep, study: DesignStudy) -> None:
     given_arcsec, required_arcsec = study.given_arcsec[2], study.config.required_arcsec
     axes.loglog(sweep.values, sweep.sigma_arcsec, color=_GIVEN, lw=2, label="given lights")
     is_evaluated = np.isfinite(sweep.best_arcsec)

@@ -31,7 +31,7 @@ _UNKNOWN = np.full((3, 3), np.nan)
 
 
 @dataclass(frozen=True)
-class Sweep:
+class DesignSweep:
     """Error of the pointing as a function of one quantity of the design.
 
     Attributes:
@@ -89,7 +89,7 @@ class DesignStudy:
     advice: EscortAdvice
     advised_arcsec: FloatArray
     budget: list[SourceSigma]
-    sweeps: list[Sweep]
+    sweeps: list[DesignSweep]
     places_deg: FloatArray
     distances_m: FloatArray
 
@@ -179,7 +179,7 @@ class _Design:
         return sigmas
 
 
-def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
+def _sweeps(config: DesignStudyConfig) -> Iterator[DesignSweep]:
     node, names = config.optical_axis, config.names
     tangents, distances_m = config.direction_tangents(), config.distances_m()
     escort, telescope = node.escort, node.telescope
@@ -193,14 +193,14 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
         node_of: Callable[[float], OpticalAxisConfig] = lambda value: node,
         lights_of: Callable[[float], tuple[FloatArray, FloatArray]] = lambda value: (tangents, distances_m),
         best: bool = True,
-    ) -> Sweep:
+    ) -> DesignSweep:
         sigma, best_sigma = np.full(len(values), np.nan), np.full(len(values), np.nan)
         for number, value in enumerate(values.tolist()):
             design = _Design(config, node_of(value))
             sigma[number] = design.accuracy.sigma(names, design.beacon_positions_n(*lights_of(value)))
             if best and number % BEST_STEP == 0:
                 best_sigma[number] = design.advice().sigma_advised
-        return Sweep(name, label, unit, values, given, sigma / ARCSEC, best_sigma / ARCSEC)
+        return DesignSweep(name, label, unit, values, given, sigma / ARCSEC, best_sigma / ARCSEC)
 
     distance_m = float(np.mean(distances_m))
     yield sweep(

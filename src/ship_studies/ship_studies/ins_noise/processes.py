@@ -157,7 +157,7 @@ class SchulerModel:
         unit = np.eye(len(self.parameters))
         self.suite_parameters: tuple[SuiteParameter, ...] = (
             SuiteParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
-            *(SuiteParameter(name, words, 0.0, unit[row]) for row, (name, words, _, _) in enumerate(found)),
+            *(SuiteParameter(name, unit_text, 0.0, unit[row]) for row, (name, unit_text, _, _) in enumerate(found)),
         )
         self.configured_values = {
             "schuler.position_sigma_m": schuler.position_sigma_m,

@@ -122,7 +122,7 @@ def run_session(
             counts=counts,
             times_s=history.times_s,
             history=history.installation_history(),
-            duration_s=(last_ns - (bag.start_ns or 0)) / NS_PER_S,
+            duration_s=(last_ns - bag.start_ns) / NS_PER_S,
             problems=[*left_out, *bag.problems, *summary.unread_lines()],
         )
 

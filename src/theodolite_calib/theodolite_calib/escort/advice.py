@@ -69,7 +69,7 @@ class AllowedPlaces:
 
     @classmethod
     def around_axis(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
-        """Return the allowed positions around the telescope's axis, from horizon from telescope, shape (3, 3)."""
+        """Return the allowed positions around the axis of the telescope; ``rotation_nt`` is horizon from telescope."""
         azimuth, elevation, _ = angles_from_rotation(rotation_nt).tolist()
         field = np.deg2rad(limits.field_deg) * (1.0 - _BOX_MARGIN)
         least = max(float(np.deg2rad(limits.elevation_min_deg)), elevation - field)

@@ -20,7 +20,7 @@ from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import AxisFaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
-from theodolite_calib.filter.observability import Observability
+from theodolite_calib.filter.observability import SightingObservability
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.subfilters import AxisSubfilters, SubfilterStates
 from theodolite_calib.samples.encoder_check import EncoderJump
@@ -135,7 +135,7 @@ class CalibrationFilter:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
-        self.observability = Observability(self.model, includes_lens=bool(config.telescopes))
+        self.observability = SightingObservability(self.model, includes_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
         self.subfilters = AxisSubfilters(config, self.model, self.ship_error)
 

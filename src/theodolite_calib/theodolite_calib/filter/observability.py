@@ -37,7 +37,7 @@ _UNKNOWN = 1000.0
 """Initial standard deviation of an unknown error, in standard deviations of the configuration."""
 
 
-class Observability:
+class SightingObservability:
     """Observability of the states of a filter from its sightings.
 
     ``root`` is the root of the covariance from the sightings alone, shape (n, n); covariance = root @ root.T.

@@ -56,11 +56,11 @@ class BeaconCheck:
     """Check of the beacons of one exposure in one order of their names.
 
     Attributes:
-        order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED.
+        order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED or a trial of exchanged names.
         attitude: attitude of the telescope from the beacons alone in this order.
         prior_chi2: chi-square of the difference between this attitude and the prior, 3 degrees of freedom; None without
             a prior.
-        result: consistent, swapped or in conflict.
+        result: consistent, swapped or in conflict; CONSISTENT in a trial that is not yet checked.
     """
 
     order: tuple[int, ...]

@@ -70,7 +70,7 @@ class AssembledSighting:
     """Result of assembling a sighting.
 
     Attributes:
-        sighting: sighting of the beacons with complete data, or a rejection without such beacons.
+        sighting: sighting of the beacons with complete data, or the reason why there is none.
         rejected_beacons: rejections of beacons without complete data, by name.
         jumps: baseline jumps of the beacons with complete data, by name.
     """

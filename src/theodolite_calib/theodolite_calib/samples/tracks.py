@@ -355,7 +355,7 @@ class MeasuredTracks:
         return EncoderAt(azimuth, elevation, noise)
 
     def axes_at(self, time_ns: int, nodes: Nodes | None = None) -> tuple[ShipAt, EncoderAt] | Rejection:
-        """Return ship and encoders at the middle of an exposure, or a rejection; for ``nodes`` see :meth:`ship_at`."""
+        """Return ship and encoders at a time, or the rejection for a gap; for ``nodes`` see :meth:`ship_at`."""
         ship, encoder = self.ship_at(time_ns, nodes), self.encoder_at(time_ns, nodes)
         if encoder is None:
             return Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")

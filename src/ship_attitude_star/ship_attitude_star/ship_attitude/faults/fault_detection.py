@@ -50,7 +50,8 @@ class ShipFaultDetector(ShipSourceExclusion):
     """Fault detection and exclusion with the filters of a configuration.
 
     Attributes:
-        records_updates: True to record the last update in each state, for smoothing.
+        records_updates: True to record in the state the update by each accepted measurement, for smoothing. The
+            smoothing core records the changes of the INS.
     """
 
     records_updates = False
