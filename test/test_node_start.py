@@ -14,7 +14,7 @@ ADAPTERS = [
 ]
 
 NEEDLESS = {
-    # ship_estimation.innovations.gates, ship_geometry.frames and ship_geometry.lapack replace the few functions
+    # ship_estimation.innovations.gates, ship_geometry.frames and ship_geometry.late_libraries replace the few functions
     # needed; the import of each of these modules of scipy takes longer than that of rclpy.
     "scipy.linalg", "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
     # Figures and pages are made by commands.

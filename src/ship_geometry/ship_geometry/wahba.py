@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry import lapack
+from ship_geometry.late_libraries import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)

@@ -15,6 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
+from ship_bags.software_versions import SUITE_PACKAGES
 from ship_estimation.parameters.schema import build
 from ship_node.black_box import black_box as black_box_module
 from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox, free_path
@@ -37,7 +38,6 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.black_box.versions import SUITE_PACKAGES
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.messages.common_messages import Level
 from ship_node.parameters.parameter_file import load_config, parameter_text

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from ship_geometry.air.ray_trace import traced_refraction
-from ship_geometry.earth import late_erfa as erfa
+from ship_geometry.late_libraries import erfa
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_kernels import compiled_stars
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_geometry.earth import late_erfa as erfa
+from ship_geometry.late_libraries import erfa
 from ship_geometry.rotations import FloatArray
 
 _WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3

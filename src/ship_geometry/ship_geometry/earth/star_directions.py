@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ship_geometry.earth import late_erfa as erfa
 from ship_geometry.earth.earth_orientation import EarthOrientation, EarthOrientationTable
 from ship_geometry.earth.geodetic import GeodeticPosition, rotation_horizon_from_ecef
 from ship_geometry.earth.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date, tt_julian_date
+from ship_geometry.late_libraries import erfa
 from ship_geometry.rotations import FloatArray
 
 SPEED_OF_LIGHT_M_PER_S = 299_792_458.0

@@ -24,6 +24,7 @@ from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_definition, type_hash
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
+from ship_bags.software_versions import versions
 from ship_node.adapters.adapter import Adapter
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
@@ -37,7 +38,6 @@ from ship_node.black_box.black_box_format import (
     FileUsed,
     event_text,
 )
-from ship_node.black_box.versions import versions
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.inputs_outputs import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text

@@ -6,7 +6,7 @@ import importlib.util
 import platform
 from pathlib import Path
 
-from ship_node.black_box.versions import package_versions
+from ship_bags.software_versions import package_versions
 
 _PACKAGES = (
     "ship_kernels", "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_stars", "ship_attitude_star",

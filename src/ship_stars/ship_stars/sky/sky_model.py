@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from ship_estimation.kalman.kalman_filter import StateBlock, block
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.air.refraction import LOWEST_ELEVATION, ModelName, refraction, seen_through_air
-from ship_geometry.earth import late_erfa as erfa
 from ship_geometry.earth.earth_orientation import EarthOrientationTable, earth_orientation_table
 from ship_geometry.earth.star_directions import RefreshedSky, StarPositions, fixed_stars
+from ship_geometry.late_libraries import erfa
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_stars.sky.catalogue import StarCatalogue, hipparcos
 from ship_stars.sky.config import SkyConfig

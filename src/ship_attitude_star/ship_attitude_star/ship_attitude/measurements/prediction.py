@@ -25,8 +25,8 @@ from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.kalman.kalman_filter import LinearMeasurement
 from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_estimation.time_order.outcome import Measurement
-from ship_geometry import lapack
 from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.late_libraries import lapack
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_kernels import compiled_kalman, compiled_rotations
