@@ -16,7 +16,7 @@ from ship_geometry.frames import angle_covariance, angles_from_rotation, rotatio
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation, wrap_pi
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_stars.solution.solution import SolutionStatus
+from ship_stars.attitude_from_stars.solution import SolutionStatus
 from ship_testing import availability_study as trials
 from ship_testing.pan_peers import (
     MIN_STARS_BY_GEOMETRY,

@@ -18,8 +18,8 @@ from ship_estimation.parameters.schema import build
 from ship_geometry.rotations import log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.suite_file import star_attitude_configuration
+from ship_stars.attitude_from_stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_stars.sky.sky_model import load_sky_model
-from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus
 from ship_testing.campaign_cases import case_in_short
 from ship_testing.paper_stars import paper_stars, with_sensor
 from ship_testing.trials.monte_carlo import attitude_outcomes, core_for, sky_input, star_exposure

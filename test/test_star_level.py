@@ -18,12 +18,12 @@ from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite_file import suite_configuration
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.solution import SolutionStatus, solve_stars
 from ship_stars.attitude_samples import InertialAttitude
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.fit import MatchedStars
-from ship_stars.solution.solution import SolutionStatus, solve_stars
 from ship_testing.trials.monte_carlo import sky_input, star_exposure
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"

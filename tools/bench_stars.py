@@ -15,8 +15,8 @@ from ship_estimation.parameters.schema import build
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite_file import star_attitude_configuration
+from ship_stars.attitude_from_stars.solution import SolutionStatus
 from ship_stars.sky.sky_model import load_sky_model
-from ship_stars.solution.solution import SolutionStatus
 from ship_testing.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
 
 SCENARIO = Path(__file__).resolve().parents[1] / "bags" / "scenarios" / "paper_stars.yaml"

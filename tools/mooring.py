@@ -32,7 +32,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, InsAttitude, Truth
 from ship_replay.offline.replay import replay
-from ship_stars.solution.solution import SolutionStatus
+from ship_stars.attitude_from_stars.solution import SolutionStatus
 from ship_testing.trials.fault_voyage import make_bag
 from ship_watch.orientations import SHIP_ATTITUDE
 

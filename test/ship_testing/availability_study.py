@@ -28,10 +28,10 @@ from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite_file import star_attitude_configuration
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.selection import StarPrior
+from ship_stars.attitude_from_stars.solution import SolutionStatus, StarSolution
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.selection import StarPrior
-from ship_stars.solution.solution import SolutionStatus, StarSolution
 from ship_testing import pan_peers
 from ship_testing.pan_peers import ErfaSky, SensorView
 from ship_testing.paper_stars import PAPER_STARS, with_exact_optics

@@ -13,12 +13,12 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.stars.true_camera import DetectorErrors, TrueOptics
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import AirReading, PositionFix
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.errors import OpticsErrors, SpatialErrors
 from ship_stars.sky.catalogue import julian_year
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
-from ship_stars.solution.exposure import StarExposure
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
 from theodolite_calib.config import OpticalAxisConfig

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 
 
 def make_overconfident(adapter: ShipAttitudeAdapter) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_stars.solution.fit import MatchedStars
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars
 
 FIELD_RADIUS_DEG = 6.0
 """Radius of the round field of view, chosen here: models.md §2, the source of the error terms, states none."""

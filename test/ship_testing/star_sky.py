@@ -10,10 +10,10 @@ from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import PositionFix
 from ship_stars.sky.catalogue import julian_year
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
-from ship_stars.solution.exposure import StarExposure
 
 TIME_NS = 1_404_906_607_800_000_000
 """2014-07-09 11:50:07.8 UTC, as in [P15]."""

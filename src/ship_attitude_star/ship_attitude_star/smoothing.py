@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 from ship_estimation.kalman.kalman_filter import propagate_correlated_error
 from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate, RtsSmoother, StateUpdate
 from ship_estimation.plausibility.checked_ins import InsChange

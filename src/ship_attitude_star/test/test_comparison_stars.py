@@ -15,11 +15,11 @@ from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.attitude_from_stars.residuals import SOURCE_STAR_NOISE, PredictedSensor, star_residuals
 from ship_stars.attitude_samples import AttitudeMeasurement, InertialAttitude, PositionFix
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
 from ship_stars.sky.sky_model import sky_slice
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE, PredictedSensor, star_residuals
 from ship_testing.star_sky import (
     ROTATION_ND,
     SENSORS,

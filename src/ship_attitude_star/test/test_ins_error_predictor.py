@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.smoothing import InsErrorPredictor
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate
 from ship_estimation.parameters.schema import build
 from ship_geometry.earth.geodetic import GeodeticPosition

@@ -13,9 +13,9 @@ from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.attitude_from_stars.exposure import ExposureLength, StarExposure
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import MountingConfig
-from ship_stars.solution.exposure import ExposureLength, StarExposure
 from ship_testing.consistency import sigma_ratio_band
 from ship_testing.small_voyage import attitude
 

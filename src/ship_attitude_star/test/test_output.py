@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_estimation.fault_detection.detector import ExcludedSource, UnresolvedFault
+from ship_estimation.fault_detection.exclusion import ExcludedSource, UnresolvedFault
 from ship_estimation.fault_detection.subfilters import filter_covariances
 from ship_estimation.parameters.schema import build
 from ship_estimation.plausibility.checked_ins import InsJump

@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.recovery import memory_residual
 from ship_bags.stamps import ns_from_stamp, stamp_fields
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejection_rules import Reason

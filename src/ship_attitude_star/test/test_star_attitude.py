@@ -19,8 +19,8 @@ from ship_geometry.frames import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_stars.attitude_from_stars.solution import SolutionStatus
 from ship_stars.sky.catalogue import hipparcos
-from ship_stars.solution.solution import SolutionStatus
 from ship_testing import small_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, exact_value, sort_by_arrival, stamp_of
 from ship_testing.small_voyage import INS, Run, run_adapter

@@ -16,14 +16,14 @@ from ship_attitude_star.star_attitude.core import StarCore
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.solution import SOLUTION_TERMS
 from ship_stars.attitude_samples import SkyInput
 from ship_stars.camera.camera import tangent_basis
 from ship_stars.camera.config import JOINT
 from ship_stars.messages.star_messages import ExposingSensor
 from ship_stars.messages.surroundings_messages import surroundings_reader
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.solution import SOLUTION_TERMS
 from ship_testing.adapter_runs import START_NS
 from ship_testing.small_voyage import attitude
 from ship_testing.star_voyage import (

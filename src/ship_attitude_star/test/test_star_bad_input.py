@@ -12,7 +12,7 @@ from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_stars.solution.solution import SolutionStatus
+from ship_stars.attitude_from_stars.solution import SolutionStatus
 from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,

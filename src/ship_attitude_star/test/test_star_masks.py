@@ -10,11 +10,11 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_estimation.parameters.schema import ParameterError, build, flatten
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.attitude_from_stars.exposure import StarExposure, identify_stars
+from ship_stars.attitude_from_stars.identification import find_candidates
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.sky.deck_masks import MaskConfig, SensorMasks, deck_masks
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, identify_stars
-from ship_stars.solution.identification import find_candidates
-from ship_stars.solution.selection import StarPrior
 from ship_testing.star_sky import ROTATION_ND, TIME_NS, configuration, exposure_of, sky_at_anchor, without_identity
 
 CONFIG = configuration()

@@ -19,11 +19,11 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.selection import StarPrior
+from ship_stars.attitude_from_stars.solution import SolutionStatus, solve_stars, solve_with_fallback
 from ship_stars.attitude_samples import AttitudeMeasurement
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.selection import StarPrior
-from ship_stars.solution.solution import SolutionStatus, solve_stars, solve_with_fallback
 from ship_testing.adapter_runs import START_NS, change_where, stamp_of
 from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, quaternion_message

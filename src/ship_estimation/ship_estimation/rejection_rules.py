@@ -2,7 +2,8 @@
 
 A measurement is checked in this order:
 
-1. the inbox of a live node that cannot keep up (``ship_node/live/node_events``): BEHIND;
+1. the live node (``ship_node/live``): BEHIND if it cannot keep up (set in ``ship_node/adapters/node_adapter``),
+   OVERFLOW if its inbox is full;
 2. the reader of the message (``messages/`` of each estimator, with the checks of ``ship_node/messages/field_checks``):
    all reasons for a wrong field. The adapter (``ship_node/adapters/input_processing``): OFF for a source that is
    switched off, CLOCK and FUTURE for a wrong clock;
@@ -14,9 +15,11 @@ A measurement is checked in this order:
 5. :class:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and
    FAILED for defects of the software;
 6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
-   its measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): all others.
+   its measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): all others. Single
+   stars: identification, selection and fit (``ship_stars/attitude_from_stars``), and the sky (``ship_stars/sky``).
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
+``theodolite_calib/triangulation`` rejects pairs of bearings with reasons of 3, 5 and 6.
 """
 
 import enum
@@ -48,7 +51,7 @@ def shorten(text: str, most: int = LONGEST_TEXT) -> str:
 
 
 class Reason(enum.IntEnum):
-    """Reason of a rejection; the values are those of ship_msgs/Innovation."""
+    """Reason of a rejection; values and meanings are those of ship_msgs/Innovation."""
 
     NONE = 0
     NON_FINITE = 1

@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import ExcludedSource, FaultDetector, FaultState, UnresolvedFault
+from ship_estimation.fault_detection.exclusion import ExcludedSource, FaultDetector, FaultState, UnresolvedFault
 from ship_estimation.fault_detection.isolation import initial_means
 from ship_estimation.fault_detection.subfilters import SubfilterTable
 from ship_estimation.innovations.gates import GateConfig

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.detector import ExcludedSource, evaluate_reinstatement
+from ship_estimation.fault_detection.exclusion import ExcludedSource, evaluate_reinstatement
 from ship_estimation.fault_detection.isolation import (
     cleared_means,
     excess_limit,

@@ -104,7 +104,7 @@ Terms of the ship
         Source: Wahba 1965; module: ship_geometry.wahba.
     Solution
         Attitude computed from stars, of one sensor, or of the deck by all sensors (*joint*).
-        Unit: rad, n; module: ship_stars.solution.solution.
+        Unit: rad, n; module: ship_stars.attitude_from_stars.solution.
     Installation, mounting
         Orientation of a device on the deck: three angles, and a small rotation vector of their error.
         Unit: rad, d; module: ship_attitude_star.ship_attitude.model.
@@ -235,13 +235,13 @@ Terms of integrity
         Module: ship_estimation.fault_detection.
     Unresolved fault
         Fault that is detected but not isolated; the covariance is inflated.
-        Module: ship_estimation.fault_detection.detector.
+        Module: ship_estimation.fault_detection.exclusion.
     Excluded, monitored
         A source is not used; its innovations are still computed.
-        Module: ship_estimation.fault_detection.detector.
+        Module: ship_estimation.fault_detection.exclusion.
     Reinstatement
         An excluded source is used again after a time of consistency.
-        Module: ship_estimation.fault_detection.detector.
+        Module: ship_estimation.fault_detection.exclusion.
     Mounting shift
         Step of the installation of a device.
         Unit: rad, d; module: ship_watch.sources.mounting_shifts.

@@ -2,8 +2,8 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Compiled refraction and attitude fit of the stars of an exposure, which are too few for efficient numpy.
 
-The functions are described in :mod:`ship_geometry.air.refraction`, :mod:`ship_stars.solution.fit` and
-:mod:`ship_stars.solution.residuals`.
+The functions are described in :mod:`ship_geometry.air.refraction`, :mod:`ship_stars.attitude_from_stars.attitude_fit`
+and :mod:`ship_stars.attitude_from_stars.residuals`.
 """
 
 import cython
@@ -209,7 +209,7 @@ def linearise_stars(
     """Return ``jacobian``, ``displacement`` and ``residual_n`` of a star fit without smear and field errors.
 
     Args:
-        measured_b: as in :class:`ship_stars.solution.fit.MatchedStars`, shape (k, 3).
+        measured_b: as in :class:`ship_stars.attitude_from_stars.attitude_fit.MatchedStars`, shape (k, 3).
         reference_n: likewise, shape (k, 3).
         sigma: standard deviation of each star, errors of catalogue and pixel included, rad per axis, shape (k,).
         shared_n: as in ``MatchedStars``, shape (k, 3, n_shared).
@@ -313,7 +313,7 @@ def normal_equations(
     """Return the information of the members, shape (q, q), and the right side, shape (q,).
 
     Args:
-        jacobian: as in :class:`ship_stars.solution.fit.StarFit`, shape (k, 3, q).
+        jacobian: as in :class:`ship_stars.attitude_from_stars.attitude_fit.StarFit`, shape (k, 3, q).
         displacement: likewise, shape (k, 3).
         members: True for each star that is used, shape (k,).
     """
@@ -399,8 +399,8 @@ def apply_prior(
     """Return Jacobian and displacement for an attitude error relative to its prediction, in standard deviations.
 
     Args:
-        jacobian: as in :class:`ship_stars.solution.fit.StarFit`, shape (k, 3, q); the first three columns belong
-            to the attitude.
+        jacobian: as in :class:`ship_stars.attitude_from_stars.attitude_fit.StarFit`, shape (k, 3, q); the first three
+            columns belong to the attitude.
         displacement: likewise, shape (k, 3).
         root_n: matrix L with L Lᵀ equal to the covariance of the prediction, rad, shape (3, 3).
         expected_n: predicted rotation vector, rad, shape (3,).

@@ -2,7 +2,7 @@
 
 Inputs are attitudes of star sensors and star trackers, position fixes, readings of the air, and deflections of the
 vertical. Outputs are measurement decisions and attitudes of the ship. The stars of an exposure are in
-:class:`ship_stars.solution.exposure.StarExposure`.
+:class:`ship_stars.attitude_from_stars.exposure.StarExposure`.
 """
 
 import enum

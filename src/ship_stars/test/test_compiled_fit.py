@@ -5,8 +5,8 @@ import pytest
 
 from ship_geometry.rotations import exp_rotation, skew
 from ship_kernels import compiled_stars
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars, StarFit, linearise_stars
 from ship_stars.camera.camera import tangent_basis
-from ship_stars.solution.fit import MatchedStars, StarFit, linearise_stars
 
 STARS, SENSORS, TURNS, SHARED = 7, 2, 3, 4
 

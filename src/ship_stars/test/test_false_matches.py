@@ -12,17 +12,17 @@ from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.identification import find_candidates
-from ship_stars.solution.selection import (
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.identification import find_candidates
+from ship_stars.attitude_from_stars.selection import (
     MAX_FALSE_MATCHES,
     StarPrior,
     expected_false_matches,
     perpendicular_basis,
     select_stars,
 )
-from ship_stars.solution.solution import SolutionStatus, solve_with_fallback
+from ship_stars.attitude_from_stars.solution import SolutionStatus, solve_with_fallback
+from ship_stars.sky.sky_model import SkyModel
 from ship_testing.star_sky import (
     ROTATION_ND,
     SENSORS,

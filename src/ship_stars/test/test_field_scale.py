@@ -12,10 +12,10 @@ from scipy.stats import chi2
 
 from ship_estimation.innovations.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars
+from ship_stars.attitude_from_stars.field_scale import estimate_optics, field_information
 from ship_stars.camera.camera import Distortion, StarCamera
 from ship_stars.camera.errors import FIELD_MODES, SOURCE_FIELD, SpatialErrors
-from ship_stars.solution.field_scale import estimate_optics, field_information
-from ship_stars.solution.fit import MatchedStars
 
 # 50 mm, 5.5 µm pixels: 22.7" each; 2048 pixels see 12.9°.
 PLAIN = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5)

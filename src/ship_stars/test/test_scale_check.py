@@ -10,12 +10,12 @@ from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.field_scale import check_focal_length
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.errors import OpticsErrors
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.field_scale import check_focal_length
-from ship_stars.solution.selection import StarPrior
 from ship_testing.star_sky import ROTATION_ND, configuration, exposure_of, sky_at_anchor, without_identity
 
 CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5)

@@ -24,10 +24,10 @@ from ship_estimation.time_order.outcome import Measurement, Status
 from ship_geometry.earth.geodetic import GeodeticPosition
 from ship_geometry.frames import horizon_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import AttitudeMeasurement, PositionFix, SolvedAttitude
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.exposure import StarExposure
 from ship_testing.adapter_runs import FACTORY, START_NS, Arrival, sort_by_arrival
 from ship_testing.consistency import sigma_ratio_band
 from ship_testing.ship_observations import SENSORS as OBSERVING

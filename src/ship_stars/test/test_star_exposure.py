@@ -15,11 +15,11 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.tracks.exposure_mean import exposure_motion
+from ship_stars.attitude_from_stars.attitude_fit import fit_attitude, linearise_stars
+from ship_stars.attitude_from_stars.exposure import ExposureLength, identify_stars, reduce_to_mid_exposure
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.attitude_samples import PositionFix
 from ship_stars.camera.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
-from ship_stars.solution.exposure import ExposureLength, identify_stars, reduce_to_mid_exposure
-from ship_stars.solution.fit import fit_attitude, linearise_stars
-from ship_stars.solution.selection import StarPrior
 from ship_testing.star_scenes import draw_scene
 from ship_testing.star_sky import (
     MAGNITUDE_LIMIT,

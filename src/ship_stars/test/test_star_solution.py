@@ -13,9 +13,9 @@ from ship_estimation.innovations.gates import mean_nees_band, normalized_error_s
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
 from ship_kernels.compiled_innovations import square_root
-from ship_stars.solution.fit import MatchedStars, StarFitSolution, linearise_stars
-from ship_stars.solution.selection import StarPrior, select_stars
-from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars, StarFitSolution, linearise_stars
+from ship_stars.attitude_from_stars.selection import StarPrior, select_stars
+from ship_stars.attitude_from_stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_testing.star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 WRONG = 30.7

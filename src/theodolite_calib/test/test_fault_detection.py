@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from ship_estimation.fault_detection.detector import UnresolvedFault
+from ship_estimation.fault_detection.exclusion import UnresolvedFault
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
 from theodolite_calib.filter.fault_detection import (

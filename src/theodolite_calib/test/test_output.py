@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.fault_detection.detector import UnresolvedFault
+from ship_estimation.fault_detection.exclusion import UnresolvedFault
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import axis_geometry

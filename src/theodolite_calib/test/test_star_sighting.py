@@ -11,7 +11,7 @@ from ship_geometry.earth.star_directions import fixed_stars
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_stars.solution.exposure import ExposureLength, StarExposure
+from ship_stars.attitude_from_stars.exposure import ExposureLength, StarExposure
 from ship_testing.mount_stars import CAMERA_ID, mount_config
 from theodolite_calib.samples.samples import EncoderSample, ShipSample
 from theodolite_calib.samples.sighting import StarSighting, star_sighting

@@ -14,10 +14,10 @@ from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
+from ship_stars.attitude_from_stars.attitude_fit import square_roots
+from ship_stars.attitude_from_stars.exposure import ExposureLength, reduce_to_mid_exposure
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import ExposureLength, reduce_to_mid_exposure
-from ship_stars.solution.fit import square_roots
-from ship_stars.solution.selection import StarPrior
 from ship_testing.consistency import sigma_ratio_band
 from ship_testing.mount_stars import (
     CAMERA_ID,

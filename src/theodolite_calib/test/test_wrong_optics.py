@@ -19,9 +19,9 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.scenario.scenario import Detector
 from ship_simulation.stars.true_camera import TrueOptics, draw_optics
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.camera.camera import StarCamera
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.selection import StarPrior
 from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, observe_stars
 from ship_testing.simulated_session import START_NS, config, session
 from ship_testing.star_sky import without_identity

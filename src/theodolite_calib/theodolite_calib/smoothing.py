@@ -24,8 +24,8 @@ from ship_estimation.kalman.rts_smoother import Anchor, GaussianEstimate, RtsSmo
 from ship_geometry.earth.time_scales import StampArray
 from ship_geometry.mount.axes import SHIP
 from ship_geometry.rotations import FloatArray
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison, Jump
 from theodolite_calib.filter.model import SOURCE_AXES, ShipErrorStep, axis_state_indices, ship_error_steps

@@ -9,7 +9,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 from ship_estimation.kalman.kalman_filter import innovation, update
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement

@@ -27,6 +27,7 @@ from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite_file import optical_axis_configuration, suite_configuration
 from ship_simulation.theodolite.run import TheodoliteRun
+from ship_stars.attitude_from_stars.exposure import ExposureLength, StarExposure
 from ship_stars.attitude_samples import (
     AirReading,
     AttitudeEstimate,
@@ -38,7 +39,6 @@ from ship_stars.attitude_samples import (
     SkyInput,
 )
 from ship_stars.sky.sky_model import load_sky_model
-from ship_stars.solution.exposure import ExposureLength, StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.samples.samples import (

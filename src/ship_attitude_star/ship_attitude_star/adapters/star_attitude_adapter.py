@@ -29,13 +29,13 @@ from ship_node.messages.field_checks import ReadMessage
 from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputTopic
 from ship_node.messages.sensor_readers import ins_block, ins_sample
 from ship_node.saved_files.saved_document import DISK, Files
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_stars.camera.config import JOINT
 from ship_stars.messages.star_messages import ExposingSensor, star_exposure
 from ship_stars.messages.surroundings_messages import surroundings_feeds
 from ship_stars.sky.catalogue import StarCatalogue
 from ship_stars.sky.sky_model import load_sky_model
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"

@@ -16,6 +16,8 @@ from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimat
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import exp_rotation, left_jacobian
 from ship_geometry.tracks.attitude_track import AttitudeTrack
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.solution import SolutionStatus, solve_stars
 from ship_stars.attitude_samples import (
     AttitudeDecision,
     AttitudeEstimate,
@@ -28,8 +30,6 @@ from ship_stars.attitude_samples import (
 )
 from ship_stars.sky.sky_model import SkyModel
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.solution import SolutionStatus, solve_stars
 
 ShipEstimator = TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
 """Time-ordered estimator of the ship filter."""

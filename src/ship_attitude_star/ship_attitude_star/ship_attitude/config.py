@@ -46,11 +46,11 @@ from ship_estimation.parameters.ship_devices import (
 from ship_estimation.recovery.recovery import RecoveryConfig
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.attitude_from_stars.residuals import SOURCE_STAR_NOISE
 from ship_stars.attitude_samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_stars.camera.config import CameraConfig, MountingConfig, StarSensorsById, camera_blocks
 from ship_stars.camera.errors import SOURCE_PIXEL
 from ship_stars.sky.config import InertialConfig, SkyConfig
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE
 
 SOURCE_INSTALLATION = "installation"
 SOURCE_STAR_COMMON = "star_common"

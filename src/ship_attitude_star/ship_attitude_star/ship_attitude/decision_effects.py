@@ -14,14 +14,14 @@ from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDet
 from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, AttitudeResidual, FilterState
-from ship_estimation.fault_detection.detector import UnconfirmedStep, with_changes, with_entry, without_entry
+from ship_estimation.fault_detection.exclusion import UnconfirmedStep, with_changes, with_entry, without_entry
 from ship_estimation.innovations.gates import GateConfig, chi_square_gate, normalized_error_squared
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation, wrap_pi
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import AttitudeDecision
-from ship_stars.solution.exposure import StarExposure
 
 _HEADING_TOLERANCE_RAD: float = np.deg2rad(5.0)
 """Maximum remaining difference for a heading mistake to explain a disagreement, rad."""

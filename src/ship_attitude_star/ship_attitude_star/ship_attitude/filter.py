@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.measurements.prediction import (
 from ship_attitude_star.ship_attitude.model import INS, SOURCE_DEFLECTION, SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.fault_detection.detector import UnconfirmedStep, with_changes, with_entry
+from ship_estimation.fault_detection.exclusion import UnconfirmedStep, with_changes, with_entry
 from ship_estimation.fault_detection.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.plausibility.checked_ins import InsChange
@@ -26,11 +26,11 @@ from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack, ExtraNoise
+from ship_stars.attitude_from_stars.exposure import StarExposure
+from ship_stars.attitude_from_stars.field_scale import check_estimated_focal_length
 from ship_stars.attitude_samples import AttitudeDecision, AttitudeMeasurement
 from ship_stars.camera.errors import SOURCE_OPTICS
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure
-from ship_stars.solution.field_scale import check_estimated_focal_length
 
 _MAX_CLOCK_STEP_SIGMAS = 8.0
 """Maximum clock step of the INS that can be estimated, in standard deviations of the configured clock offset."""

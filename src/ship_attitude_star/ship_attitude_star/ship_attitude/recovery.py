@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_input import InsInput
 from ship_attitude_star.ship_attitude.measurements.prediction import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.fault_detection.detector import with_changes
+from ship_estimation.fault_detection.exclusion import with_changes
 from ship_estimation.fault_detection.isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.plausibility.checked_ins import InsJump
 from ship_estimation.recovery.displacement import MemoryResidual

@@ -18,7 +18,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.fault_detection.common_error import NO_CORRECTIONS, CorrectionSums
-from ship_estimation.fault_detection.detector import FaultState, UnconfirmedStep, UnresolvedFault, with_changes
+from ship_estimation.fault_detection.exclusion import FaultState, UnconfirmedStep, UnresolvedFault, with_changes
 from ship_estimation.kalman.rts_smoother import StateUpdate
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.earth.time_scales import SECOND_NS

@@ -1,11 +1,11 @@
 """Core of the node ``star_attitude``, shared with the replay: attitudes from exposures of star sensors.
 
 The core uses no ROS, no files and no clock. Each exposure gives the attitude of its sensor at the time of the exposure
-(:mod:`ship_attitude_star.star_attitude.exposure_solver`, which calls :mod:`ship_stars.solution.solution`); exposures
-may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the attitude of the
-deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered estimator, only
-its :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`. The timeout clock is described at
-:class:`ship_node.adapters.adapter.Adapter`.
+(:mod:`ship_attitude_star.star_attitude.exposure_solver`, with :mod:`ship_stars.attitude_from_stars.solution`);
+exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time give the
+attitude of the deck, in time order. An attitude does not depend on earlier attitudes, so the core needs no time-ordered
+estimator, only its :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`. The timeout clock is described
+at :class:`ship_node.adapters.adapter.Adapter`.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -39,9 +39,9 @@ from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import AttitudeMeasurement, SkyInput
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _EXACT: FloatArray = np.zeros((3, 3))

@@ -1,4 +1,7 @@
-"""Attitude of a sensor from one exposure, attitude of the deck from several exposures, and the rejected stars."""
+"""Attitude of a sensor from one exposure, attitude of the deck from several exposures, and the rejected stars.
+
+The attitude itself is computed in :mod:`ship_stars.attitude_from_stars.solution`, for both from the star vectors.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -9,14 +12,14 @@ import numpy as np
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars, square_roots
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.field_scale import check_focal_length
+from ship_stars.attitude_from_stars.selection import StarPrior
+from ship_stars.attitude_from_stars.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 from ship_stars.camera.camera import tangent_basis
 from ship_stars.camera.config import JOINT
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.field_scale import check_focal_length
-from ship_stars.solution.fit import MatchedStars, square_roots
-from ship_stars.solution.selection import StarPrior
-from ship_stars.solution.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 
 _IDENTITY: FloatArray = np.eye(3)
 _AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"

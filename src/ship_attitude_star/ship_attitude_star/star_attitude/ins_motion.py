@@ -26,9 +26,9 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.tracks.exposure_mean import exposure_motion
 from ship_geometry.tracks.interpolation_error import joint_covariance
+from ship_stars.attitude_from_stars.exposure import StarExposure, reduce_to_mid_exposure
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.camera.config import MountingConfig
-from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
-from ship_stars.solution.selection import StarPrior
 
 INS = "ins"
 

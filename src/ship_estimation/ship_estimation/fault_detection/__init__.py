@@ -1,1 +1,4 @@
-"""Fault detection and exclusion: subfilters, innovation means, isolation, detector, errors common to all stars."""
+"""Fault detection and exclusion, from ``subfilters`` and ``isolation`` to the ``exclusion`` of a source.
+
+``common_error`` is the error that all stars share.
+"""

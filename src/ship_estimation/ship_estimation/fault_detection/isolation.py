@@ -7,7 +7,7 @@ measurements. The means over many measurements show a drift.
 
 A fault is detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold.
 A source is isolated as faulty if the subfilter without this source is consistent with all sources that the subfilter
-uses.
+uses. It is then excluded by :mod:`ship_estimation.fault_detection.exclusion`.
 """
 
 import math

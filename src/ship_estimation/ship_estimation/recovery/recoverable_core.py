@@ -33,7 +33,7 @@ def with_shifted_stamps(value: Value, step_ns: int) -> Value:
         step_ns: the step, ns.
 
     Example:
-        >>> from ship_estimation.fault_detection.detector import UnconfirmedStep
+        >>> from ship_estimation.fault_detection.exclusion import UnconfirmedStep
         >>> with_shifted_stamps(UnconfirmedStep(10, "why", "stars"), -3).since_ns
         7
     """

@@ -18,14 +18,14 @@ from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, sol
 from ship_estimation.rejection_rules import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_node.messages.field_checks import MessageRejected
+from ship_stars.attitude_from_stars.exposure import StarExposure, identify_stars
+from ship_stars.attitude_from_stars.field_scale import OpticsEstimate, estimate_optics, field_information
+from ship_stars.attitude_from_stars.selection import MIN_VERIFIED_STARS, StarPrior
+from ship_stars.attitude_from_stars.solution import SolutionStatus, StarSolution
 from ship_stars.camera.config import CameraConfig
 from ship_stars.messages.star_messages import ExposingSensor, star_exposure
 from ship_stars.sky.catalogue import UNKNOWN
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, identify_stars
-from ship_stars.solution.field_scale import OpticsEstimate, estimate_optics, field_information
-from ship_stars.solution.selection import MIN_VERIFIED_STARS, StarPrior
-from ship_stars.solution.solution import SolutionStatus, StarSolution
 
 _FEWEST_PAIRS = 5
 _LEAST_PAIR_ANGLE = np.deg2rad(0.2)

@@ -29,11 +29,11 @@ from ship_node.messages.field_checks import MessageRejected
 from ship_node.messages.sensor_readers import ins_sample
 from ship_replay.preflight.check_config import INS_TOPIC
 from ship_replay.preflight.measured_camera import CameraRecord, MeasuredCamera, measure_camera
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.camera.config import MountingConfig
 from ship_stars.messages.surroundings_messages import SURROUNDINGS, surroundings_reader
 from ship_stars.sky.sky_model import SkyModel, load_sky_model
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.selection import StarPrior
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.messages import input_messages as mount_messages_in
 from theodolite_calib.samples.samples import EncoderSample

@@ -18,11 +18,11 @@ from ship_geometry.earth.star_directions import StarPositions, fixed_stars
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S
 from ship_node.messages.field_checks import ReadMessage, check_device_id, check_frame, exposure_length_s, stamp_ns
+from ship_stars.attitude_from_stars.exposure import ExposureLength, StarExposure
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.config import CameraConfig
 from ship_stars.sky.catalogue import UNKNOWN, StarCatalogue, julian_year
 from ship_stars.sky.deck_masks import SensorMasks
-from ship_stars.solution.exposure import ExposureLength, StarExposure
 
 MAX_STARS = 100
 """Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""

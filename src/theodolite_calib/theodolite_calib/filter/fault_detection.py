@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import (
+from ship_estimation.fault_detection.exclusion import (
     ExcludedSource,
     FaultDetector,
     FaultState,

@@ -15,8 +15,8 @@ from ship_estimation.kalman.kalman_filter import LinearMeasurement, propagate_co
 from ship_estimation.plausibility.checked_ins import InsJump
 from ship_geometry.mount.axes import NAMES
 from ship_geometry.rotations import FloatArray
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.camera.errors import PixelDwell
-from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import AxisFaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model

@@ -40,10 +40,10 @@ from ship_estimation.kalman.kalman_filter import (
 )
 from ship_geometry.mount.axes import AXES, DEFORMATION, SHIP, SHIP_TIME
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_stars.attitude_from_stars.residuals import SOURCE_STAR_NOISE
 from ship_stars.camera.config import camera_blocks
 from ship_stars.camera.errors import SOURCE_PIXEL
 from ship_stars.sky.sky_model import sky_blocks
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
 SOURCE_SHIP = "ship_attitude"

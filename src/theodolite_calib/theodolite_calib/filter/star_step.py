@@ -7,7 +7,8 @@ main axis. The attitude of the camera follows from encoders, deformation and shi
 
 A star has no baseline, lever, N' or terrestrial refraction. The direction of a star in the horizon is the catalogue
 direction with aberration and refraction. Errors common to all stars are states (:mod:`ship_stars.sky.sky_model`). The
-ship's filter uses the same identification, rejection and residuals of stars (:mod:`ship_stars.solution.residuals`).
+ship's filter uses the same identification, rejection and residuals of stars
+(:mod:`ship_stars.attitude_from_stars.residuals`).
 
 If the stars pass the gate of the main filter, the main filter is updated. Each subfilter is then updated if the stars
 pass the gate of this subfilter. Stars that contradict encoders and ship are counted together with rejected beacons. The
@@ -24,11 +25,11 @@ from ship_estimation.kalman.kalman_filter import LinearMeasurement, StateModel
 from ship_estimation.rejection_rules import Reason, Rejection, singular_covariance
 from ship_geometry.mount.axes import axis_geometry, telescope_rotation
 from ship_geometry.rotations import FloatArray
+from ship_stars.attitude_from_stars.field_scale import check_estimated_focal_length
+from ship_stars.attitude_from_stars.residuals import PredictedSensor, StarResiduals, star_residuals
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.camera.config import camera_state_indices
 from ship_stars.sky.sky_model import SkyModel, sky_slice
-from ship_stars.solution.field_scale import check_estimated_focal_length
-from ship_stars.solution.residuals import PredictedSensor, StarResiduals, star_residuals
-from ship_stars.solution.selection import StarPrior
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.fault_detection import record_acceptance
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState

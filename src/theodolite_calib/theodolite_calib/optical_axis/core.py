@@ -14,9 +14,9 @@ from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.recovery.recoverable_core import RecoverableCore, with_shifted_stamps
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
+from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import SkyInput
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep

@@ -16,10 +16,10 @@ from ship_estimation.rejection_rules import Rejection, StampConflicts
 from ship_estimation.time_order.outcome import OutputSequence, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.residuals import SOURCE_STAR_NOISE
+from ship_stars.attitude_from_stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.residuals import SOURCE_STAR_NOISE
-from ship_stars.solution.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices, parallelism_block

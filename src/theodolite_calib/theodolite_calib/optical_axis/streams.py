@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import UnconfirmedStep
+from ship_estimation.fault_detection.exclusion import UnconfirmedStep
 from ship_estimation.parameters.ship_devices import CheckedInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedInsSample
 from ship_estimation.plausibility.ins_check import InsCheck

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.fault_detection.detector import UnconfirmedStep
+from ship_estimation.fault_detection.exclusion import UnconfirmedStep
 from ship_estimation.plausibility.predictions import (
     JumpCheck,
     JumpDecision,

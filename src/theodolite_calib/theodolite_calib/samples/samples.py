@@ -13,7 +13,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_geometry.tracks.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.tracks.sample_track import VectorSample
-from ship_stars.solution.exposure import StarExposure
+from ship_stars.attitude_from_stars.exposure import StarExposure
 
 
 class Mode(enum.IntEnum):

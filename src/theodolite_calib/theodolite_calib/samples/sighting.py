@@ -12,7 +12,7 @@ from ship_geometry.mount.image import BeaconStreaks, Camera, Image
 from ship_geometry.mount.line_of_sight import BeaconPoses
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.exposure_mean import Nodes
-from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure
+from ship_stars.attitude_from_stars.exposure import StarExposure, reduce_to_mid_exposure
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples.samples import DetectedBeacon, Exposure
 from theodolite_calib.samples.tracks import BaselineJump, BeaconAt, EncoderAt, MeasuredTracks, ShipAt

@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasureme
 from ship_attitude_star.ship_attitude.model import INS, MIN_SOURCES_FOR_PAIRS
 from ship_attitude_star.ship_attitude.state import FilterState, RecentInnovations, SourceInnovation
 from ship_estimation.fault_detection.common_error import COMMON_ERROR_START_SIGMAS
-from ship_estimation.fault_detection.detector import UnresolvedFault, with_changes, with_entry
+from ship_estimation.fault_detection.exclusion import UnresolvedFault, with_changes, with_entry
 from ship_estimation.fault_detection.isolation import (
     INITIAL_MEANS,
     MAX_MEASUREMENT_AGE_NS,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import INS, SOURCE_INS, ShipStateModel, ShipSubfilters
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.fault_detection.detector import (
+from ship_estimation.fault_detection.exclusion import (
     ExcludedSource,
     UnconfirmedStep,
     UnresolvedFault,

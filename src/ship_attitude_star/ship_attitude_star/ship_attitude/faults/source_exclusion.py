@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.faults.ins_fault_handling import InsFaultH
 from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.ship_attitude.model import INS, ShipStateModel, ShipSubfilters
 from ship_attitude_star.ship_attitude.state import FilterState, shared_rotation
-from ship_estimation.fault_detection.detector import (
+from ship_estimation.fault_detection.exclusion import (
     MAX_REMAINING_RATIO,
     ExcludedSource,
     FaultDetector,

@@ -1,8 +1,8 @@
 """Devices of all kinds of measurement: attitudes relative to the horizon, single stars, and baselines between antennas.
 
 The base class is in :mod:`ship_attitude_star.ship_attitude.measurements.kind`. Single stars are compared one by one
-(:mod:`ship_stars.solution.residuals`). A baseline between two antennas aboard is a direction of the ship in the
-horizon, measured by RTK.
+(:mod:`ship_stars.attitude_from_stars.residuals`). A baseline between two antennas aboard is a direction of the ship in
+the horizon, measured by RTK.
 """
 
 import math
@@ -25,6 +25,9 @@ from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 from ship_geometry.tracks.attitude_track import InterpolatedAttitude
 from ship_geometry.tracks.exposure_mean import exposure_motion
 from ship_kernels import compiled_rotations
+from ship_stars.attitude_from_stars.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
+from ship_stars.attitude_from_stars.residuals import PredictedSensor, star_residuals
+from ship_stars.attitude_from_stars.solution import initial_attitude
 from ship_stars.attitude_samples import (
     ATTITUDE_COMPONENTS,
     SHARED_BY_GRAVITY,
@@ -37,9 +40,6 @@ from ship_stars.attitude_samples import (
 from ship_stars.camera.config import camera_state_indices
 from ship_stars.sky.sky_model import sky_slice
 from ship_stars.sky.tracker_attitude import to_horizon_attitude
-from ship_stars.solution.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
-from ship_stars.solution.residuals import PredictedSensor, star_residuals
-from ship_stars.solution.solution import initial_attitude
 
 _HALF_TURN_RAD = math.radians(177.0)
 """Rotation angle above which noise of up to 1° per attitude may decide the sense of the rotation vector, rad."""

@@ -17,8 +17,8 @@ from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import Measurement
 from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude
+from ship_stars.attitude_from_stars.selection import StarPrior
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.selection import StarPrior
 
 SOURCE_INTERPOLATION = "interpolation"
 """Error source of the interpolation of the INS attitude."""

@@ -30,8 +30,8 @@ from ship_geometry.late_libraries import lapack
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.tracks.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_kernels import compiled_kalman, compiled_rotations
+from ship_stars.attitude_from_stars.selection import LINEAR_RANGE
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.selection import LINEAR_RANGE
 
 _CONVERGED_RAD = 2e-4
 """Convergence limit of the distance between linearisation point and estimate, rad; the second-order term is 0.004″."""

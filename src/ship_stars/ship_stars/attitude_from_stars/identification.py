@@ -2,8 +2,8 @@
 
 A detection and a catalogue star match if a probable error of the predicted attitude explains the angle between them.
 With an uncertain prediction (a wide prior) this error is not small; its most likely value is computed iteratively
-(Gauss-Newton) for each pair of detection and star. :func:`ship_stars.solution.exposure.identify_stars` assigns
-identities from these candidates.
+(Gauss-Newton) for each pair of detection and star. :func:`ship_stars.attitude_from_stars.exposure.identify_stars`
+assigns identities from these candidates.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,14 @@ from numpy.typing import NDArray
 
 from ship_estimation.innovations.gates import chi_square_gate
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
+from ship_stars.attitude_from_stars.selection import (
+    GATE_PROBABILITY,
+    StarPrior,
+    mahalanobis_squared,
+    perpendicular_basis,
+)
 from ship_stars.sky.deck_masks import SensorMasks
 from ship_stars.sky.sky_model import LocalSky
-from ship_stars.solution.selection import GATE_PROBABILITY, StarPrior, mahalanobis_squared, perpendicular_basis
 
 MAGNITUDE_TOLERANCE = 1.5
 """Maximum difference between a measured magnitude and the catalogue's magnitude.

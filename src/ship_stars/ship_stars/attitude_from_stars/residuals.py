@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_kernels import compiled_stars
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.field_scale import check_focal_length
+from ship_stars.attitude_from_stars.selection import StarPrior, ambiguous_identity_rejection, select_stars
+from ship_stars.attitude_from_stars.solution import SolutionStatus, solve_stars
 from ship_stars.camera.errors import SOURCE_PIXEL, PixelDwell
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.field_scale import check_focal_length
-from ship_stars.solution.fit import MatchedStars
-from ship_stars.solution.selection import StarPrior, ambiguous_identity_rejection, select_stars
-from ship_stars.solution.solution import SolutionStatus, solve_stars
 
 SOURCE_STAR_NOISE = "star_noise"
 """Error source of the stars' noise; this noise includes the errors of the catalogue."""

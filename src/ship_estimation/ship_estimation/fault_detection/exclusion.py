@@ -1,5 +1,8 @@
 """Fault detector, which excludes and reinstates the sources of a table, and the state of fault detection.
 
+The ship's special cases are in ``ship_attitude/faults/source_exclusion`` of ``ship_attitude_star``, the theodolite's in
+``filter/fault_detection`` of ``theodolite_calib``.
+
 The main filter does not use an excluded source, but monitors this source. The source is reinstated after a time of
 consistency. By then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
 

@@ -3,7 +3,7 @@
 No attitude is needed. The angles between the stars of one exposure are known from the catalogue. The measured angles
 depend on the optics, but not on the attitude. Each field is linearised at the attitude that its stars give. The error
 of this attitude is eliminated, and the remaining displacements determine the optics (equations as in
-:mod:`ship_stars.solution.fit`):
+:mod:`ship_stars.attitude_from_stars.attitude_fit`):
 
     d_i = δ × v_i + R S_i θ - R F_i f - G_i z + noise
 
@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray
+from ship_stars.attitude_from_stars.attitude_fit import ATTITUDE, MatchedStars, fit_attitude, linearise_stars
+from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars
+from ship_stars.attitude_from_stars.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
 from ship_stars.camera.camera import StarCamera
 from ship_stars.camera.errors import SOURCE_OPTICS, OpticsErrors
 from ship_stars.sky.sky_model import SkyModel
-from ship_stars.solution.exposure import StarExposure, visible_stars
-from ship_stars.solution.fit import ATTITUDE, MatchedStars, fit_attitude, linearise_stars
-from ship_stars.solution.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
 
 OPTICS = slice(0, 3)
 """Slice of the optics among the unknowns; the coefficients of the field-spatial error and the shared errors follow."""

@@ -24,7 +24,14 @@ from ship_estimation.innovations.gates import chi_square_gate
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
-from ship_stars.solution.fit import AttitudeFit, MatchedStars, StarFit, StarFitSolution, fit_attitude, linearise_stars
+from ship_stars.attitude_from_stars.attitude_fit import (
+    AttitudeFit,
+    MatchedStars,
+    StarFit,
+    StarFitSolution,
+    fit_attitude,
+    linearise_stars,
+)
 
 GATE_PROBABILITY = 0.9999
 """Probability that a correctly identified detection passes its gate."""

@@ -25,6 +25,9 @@ from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.star_directions import StarPositions
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.exposure_mean import Nodes, exposure_nodes
+from ship_stars.attitude_from_stars.attitude_fit import MatchedStars
+from ship_stars.attitude_from_stars.identification import MAGNITUDE_TOLERANCE, MAX_PRIOR_SIGMA, find_candidates
+from ship_stars.attitude_from_stars.selection import LINEAR_RANGE, WRONG_IDENTITY_RATIO, StarPrior
 from ship_stars.camera.camera import StarCamera, equivalent_sigma
 from ship_stars.camera.errors import (
     FIELD_MODES,
@@ -38,9 +41,6 @@ from ship_stars.camera.errors import (
 from ship_stars.sky.catalogue import julian_year
 from ship_stars.sky.deck_masks import SensorMasks
 from ship_stars.sky.sky_model import LocalSky, SkyModel
-from ship_stars.solution.fit import MatchedStars
-from ship_stars.solution.identification import MAGNITUDE_TOLERANCE, MAX_PRIOR_SIGMA, find_candidates
-from ship_stars.solution.selection import LINEAR_RANGE, WRONG_IDENTITY_RATIO, StarPrior
 
 _PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(MAX_PRIOR_SIGMA):.0f}°: too many catalogue stars match"
 

@@ -1,8 +1,9 @@
 """Attitude from all stars of one or all sensors, with a covariance that includes every error.
 
-[P15] (13)-(16) gives the attitude as the solution of Wahba's problem. The error of the attitude is linear in the errors
-of :mod:`ship_stars.solution.fit`, and one set of normal equations contains the sensitivity of the attitude to each
-error. The noise of the stars averages over the stars; errors that the stars share do not.
+The attitude is the solution of Wahba's problem ([P15] (13)-(16)), computed by
+:func:`ship_stars.attitude_from_stars.attitude_fit.fit_attitude`. Its error is linear in the errors listed there, and
+one set of normal equations contains the sensitivity of the attitude to each error. The noise of the stars averages over
+the stars; errors that the stars share do not.
 """
 
 import enum
@@ -16,10 +17,22 @@ from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_kernels import compiled_stars
 from ship_kernels.compiled_innovations import square_root
+from ship_stars.attitude_from_stars.attitude_fit import (
+    ATTITUDE,
+    AttitudeFit,
+    MatchedStars,
+    field_columns,
+    fit_attitude,
+    linearise_stars,
+)
+from ship_stars.attitude_from_stars.selection import (
+    MIN_VERIFIED_STARS,
+    StarPrior,
+    ambiguous_identity_rejection,
+    select_stars,
+)
 from ship_stars.camera.errors import SOURCE_FIELD, SOURCE_OPTICS, SOURCE_PIXEL
 from ship_stars.sky.sky_model import SHARED_TERMS, UTC
-from ship_stars.solution.fit import ATTITUDE, AttitudeFit, MatchedStars, field_columns, fit_attitude, linearise_stars
-from ship_stars.solution.selection import MIN_VERIFIED_STARS, StarPrior, ambiguous_identity_rejection, select_stars
 
 SOLUTION_TERMS = (
     "star_noise",

@@ -1,1 +1,0 @@
-"""Attitude from an exposure: identification, selection of stars, fit and solution."""
