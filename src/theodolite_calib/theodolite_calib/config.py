@@ -14,6 +14,7 @@ from ship_estimation.parameters.fields import (
     mapping_of,
     parameter,
     publish_tf,
+    saved_age,
     section,
     sources_off,
     stamp_age,
@@ -249,13 +250,7 @@ class OpticalAxisConfig:
     )
     calibration_file: str = parameter("", doc="file of the saved calibration, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
-    calibration_max_age_d: float = parameter(
-        30.0,
-        doc="age above which the configured uncertainty is added to a saved calibration",
-        unit="d",
-        minimum=0.0,
-        maximum=36500.0,
-    )
+    calibration_max_age_d: float = saved_age("calibration")
 
     def __post_init__(self) -> None:
         # One hypothesis per filter: the main filter, and subfilters without one drone, the encoders or the ship's

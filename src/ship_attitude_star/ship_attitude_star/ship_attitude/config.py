@@ -29,6 +29,7 @@ from ship_estimation.parameters.fields import (
     mapping_of,
     parameter,
     publish_tf,
+    saved_age,
     section,
     sources_off,
     stamp_age,
@@ -344,13 +345,7 @@ class ShipAttitudeConfig(ShipSensors):
     )
     alignment_file: str = parameter("", doc="file of the saved alignment, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
-    alignment_max_age_d: float = parameter(
-        30.0,
-        doc="age above which the configured uncertainty is added to a saved alignment",
-        unit="d",
-        minimum=0.0,
-        maximum=36500.0,
-    )
+    alignment_max_age_d: float = saved_age("alignment")
 
     @property
     def models_deflection(self) -> bool:

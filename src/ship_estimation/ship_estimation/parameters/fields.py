@@ -156,6 +156,20 @@ def autosave_period() -> Any:
     )
 
 
+def saved_age(saved: str) -> Any:
+    """Return the parameter with the age above which a saved alignment or calibration counts as uncertain, d.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     alignment_max_age_d: float = saved_age("alignment")
+        >>> Node().alignment_max_age_d
+        30.0
+    """
+    doc = f"age above which the configured uncertainty is added to a saved {saved}"
+    return parameter(30.0, doc=doc, unit="d", minimum=0.0, maximum=36500.0)
+
+
 def sources_off() -> Any:
     """Return the live parameter ``sources_off`` of an estimator, the sources that are switched off.
 
