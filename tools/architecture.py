@@ -51,6 +51,9 @@ WAYS_HEAD = """
 
 The files in order of the first visit, each with the first function called there, recorded while a node processed one
 message. Geometry (`ship_geometry`), serialisation (`ship_bags`) and compiled functions (`ship_kernels`) are left out.
+In a live node, the callback of the subscription adds the message to the inbox (`ship_node/live/live_node`,
+`_on_message`). After the round of callbacks, `live_node` takes it from the inbox and calls the adapter through
+`ship_node/live/adapter_calls`, which publishes the results. A replay calls the adapter with many messages at once.
 [`tools/walk_message.py`](../../tools/walk_message.py) shows all visits for any message of a bag:
 
 ```bash

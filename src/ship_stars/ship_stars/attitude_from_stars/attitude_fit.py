@@ -1,5 +1,10 @@
 """Least-squares fit of one attitude to stars, with the errors that the stars share as further unknowns.
 
+:func:`fit_attitude` solves Wahba's problem (:mod:`ship_geometry.wahba`) and refines the solution. It is called for the
+selection of stars and by :func:`ship_stars.attitude_from_stars.solution.solve_stars` for the selected ones. The
+measurement of the filter of ``ship_attitude`` is not this attitude, but the residuals of the single stars
+(:mod:`ship_stars.attitude_from_stars.residuals`).
+
 The frame b is the frame in which the stars were measured: the deck, or the frame of one sensor. Star i has the measured
 direction u_i (frame b) and the sky direction v_i (horizon frame n). At an attitude R (n from b) near the truth, the
 displacement d_i of the star is linear in small unknowns:
