@@ -99,7 +99,10 @@ class DecisionEffects:
         if self._devices[source].is_star:
             if unconfirmed is not None:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
-            elif not any(device.is_star and state.has_used(name) for name, device in self._devices.items()):
+            elif not any(
+                device.is_star and (name in state.last_used_ns or name in state.exclusion_counts)
+                for name, device in self._devices.items()
+            ):
                 text = "the attitude depends on a single star measurement"
                 unconfirmed = UnconfirmedStep(measurement.time_ns - 1, text, "stars", measurement.time_ns, source)
         rejection_counts, used_ns = state.consecutive_rejections, state.last_used_ns
@@ -129,7 +132,8 @@ class DecisionEffects:
         # device attitude.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
-        residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
+        noise_n = compared.rotation_nv @ compared.attitude_noise_v @ compared.rotation_nv.T
+        residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, noise_n)
         state = with_changes(
             self._count_rejection(state, source),
             rejected_residuals=with_entry(state.rejected_residuals, source, residual),

@@ -315,14 +315,13 @@ class ShipFilter:
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
             after, decision = self._effects.reject_by_gate(after, decision, linearised)
-        is_ins_confirmed = self._is_ins_confirmed(state, linearised)
-        if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
+        ins, detector = linearised.ins.sample, self.fault_detector
+        rates_ns = None if ins is None or ins.rate_d is None else linearised.ins_time_ns
+        if self.devices[source].is_star and not (accepted[0] or detector.is_ins_confirmed(after, rates_ns)):
             # The rates of the INS do not rule out that it has jumped.
             after = with_changes(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
-        after, text = self.fault_detector.detect_faults(
-            after, source, innovations, is_ins_confirmed, measurement.time_ns
-        )
-        return after, self._with_fault_text(decision, after, text)
+        after, text = detector.detect_faults(after, source, innovations, rates_ns, measurement.time_ns)
+        return after, self._with_fault_text(decision, after, text) if text else decision
 
     def _is_latitude_missing(self, time_ns: int) -> bool:
         """True if the propagation of the INS error needs a latitude that is not known yet."""
@@ -330,12 +329,6 @@ class ShipFilter:
         if process is None or self.vertical is None or not process.needs_latitude:
             return False
         return math.isnan(self.vertical.at(time_ns).latitude)
-
-    def _is_ins_confirmed(self, state: FilterState, linearised: LinearisedMeasurement) -> bool:
-        """True if the rates of the INS rule out a step: rates are available, and no jump was reported recently."""
-        if linearised.ins.sample is None or linearised.ins.sample.rate_d is None:
-            return False
-        return not self.fault_detector.ins_fault.has_reported_jump(state, linearised.ins_time_ns)
 
     def _innovations_after_inflation(
         self, predicted: FilterState, source: str, compared: ComparedMeasurement, gate: float
@@ -354,8 +347,10 @@ class ShipFilter:
         Returns:
             The state, with the inflated covariances, and the innovations.
         """
-        linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
+        linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.means[0]
         innovations = subfilter_innovations(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
+        if not np.any(innovations.nis > gate):
+            return predicted, innovations
         inflated, subfilters = self.fault_detector.ins_fault.inflate_against(
             predicted, source, innovations, compared.predicted_nv, gate
         )
@@ -371,8 +366,6 @@ class ShipFilter:
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection; a rejection if the source is excluded now."""
-        if not text:
-            return decision
         if decision.measurement.source in state.excluded and decision.reason in (Reason.NONE, Reason.EXCLUDED):
             return replace(decision, accepted=False, reason=Reason.EXCLUDED, text=text)
         return replace(decision, text=f"{text}; {decision.text}" if decision.text else text)

@@ -199,10 +199,6 @@ class FilterState(FaultState):
         parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts
 
-    def has_used(self, source: str) -> bool:
-        """True if a measurement of the source was accepted, even if the source was excluded since."""
-        return source in self.last_used_ns or source in self.exclusion_counts
-
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the main filter, shape (n, n)."""

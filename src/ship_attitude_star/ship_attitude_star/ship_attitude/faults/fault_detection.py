@@ -103,33 +103,36 @@ class ShipFaultDetector(ShipSourceExclusion):
                 for one in (state, predicted)
             )
         innovation = SourceInnovation(whitened[0], innovations.whitening_root[0], comparison.predicted_nv)
-        last_innovations = with_entry(state.last_innovations, source, innovation)
         exclusion = state.excluded.get(source)
         # A measurement that no filter uses leaves all filters bit-identical. A source excluded for a mounting shift
         # still updates its own mounting states.
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
+            last_innovations = with_entry(state.last_innovations, source, innovation)
             return with_changes(state, innovation_means=innovation_means, last_innovations=last_innovations)
-        updatable = self.subfilters.updatable_states[source]
-        if state.excluded:
-            updatable = used[:, None] | self.subfilters.own_states[source]
-        updatable = self.ins_fault.updatable_states(state, updatable & accepted[:, None])
-        corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
-        recent, correction_sums = state.recent_innovations, state.correction_sums
+        recent, correction_sums = state.recent_innovations.get(source), state.correction_sums
         if used[0] and accepted[0]:
-            windowed = recent[source].windowed_means if source in recent else INITIAL_MEANS
-            recent = with_entry(recent, source, RecentInnovations(*updated_mean(windowed, whitened[0])))
+            windowed = INITIAL_MEANS if recent is None else recent.windowed_means
+            recent = RecentInnovations(*updated_mean(windowed, whitened[0]))
             if source in self.subfilters.stars and INS not in state.excluded:
                 correction_sums = correction_sums.with_correction(
                     innovations, comparison.linear.jacobian, self._ins_attitude.start
                 )
+        updatable = self.subfilters.updatable_states[source]
+        if state.excluded:
+            updatable = used[:, None] | self.subfilters.own_states[source]
+            updatable = self.ins_fault.updatable_states(state, updatable)
+        updatable = updatable & accepted[:, None]
+        corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
         after = with_changes(
             predicted,
             means=predicted.means + corrections,
             stack=stack,
             innovation_means=innovation_means,
-            last_innovations=last_innovations,
-            recent_innovations=recent,
+            last_innovations=with_entry(state.last_innovations, source, innovation),
+            recent_innovations=(
+                state.recent_innovations if recent is None else with_entry(state.recent_innovations, source, recent)
+            ),
             correction_sums=correction_sums,
         )
         if not self.records_updates:
@@ -138,8 +141,12 @@ class ShipFaultDetector(ShipSourceExclusion):
         before, now = (GaussianEstimate(one.mean, one.covariance) for one in (predicted, after))
         return with_changes(after, last_update=StateUpdate(before, now, leads_back))
 
+    def is_ins_confirmed(self, state: FilterState, rates_ns: int | None) -> bool:
+        """True if the rates of the INS rule out a step: rates are available, and no jump was reported recently."""
+        return rates_ns is not None and not self.ins_fault.has_reported_jump(state, rates_ns)
+
     def detect_faults(
-        self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
+        self, state: FilterState, source: str, innovations: FilterInnovations, rates_ns: int | None, time_ns: int
     ) -> tuple[FilterState, str]:
         """Detect and isolate faults after a measurement.
 
@@ -147,7 +154,7 @@ class ShipFaultDetector(ShipSourceExclusion):
             state: state after the measurement.
             source: source of the measurement.
             innovations: innovations of all filters.
-            is_ins_confirmed: True if the rates of the INS rule out a step of the INS.
+            rates_ns: stamp of the INS attitude with rates that is matched to the measurement; None without rates.
             time_ns: stamp of the measurement.
 
         Returns:
@@ -155,6 +162,7 @@ class ShipFaultDetector(ShipSourceExclusion):
         """
         if self._is_all_consistent(state):
             return state, ""
+        is_ins_confirmed = self.is_ins_confirmed(state, rates_ns)
         state = self.ins_fault.reinstate_ins(state, time_ns)
         if source in state.excluded:
             state, text = self.evaluate_reinstatement(state, source, innovations, time_ns)
@@ -214,8 +222,8 @@ class ShipFaultDetector(ShipSourceExclusion):
         # NaN is inconsistent.
         return (
             state.correction_sums.sigmas <= COMMON_ERROR_START_SIGMAS
-            and is_consistent_with_all(state.innovation_means, self._degraded_after)
             and all(one.largest_sigmas <= INFLATION_START_SIGMAS for one in state.recent_innovations.values())
+            and is_consistent_with_all(state.innovation_means, self._degraded_after)
             and are_consistent(state.means, state.stack, self._ins_attitude, consistent_sigmas)
         )
 

@@ -106,12 +106,6 @@ class ComparedMeasurement(NamedTuple):
     attitude_noise_v: FloatArray = np.zeros((3, 3))
     rejected_stars: tuple[tuple[str, Rejection], ...] = ()
 
-    @property
-    def attitude_noise_n(self) -> FloatArray:
-        """Noise of a measured attitude in the horizon frame, rad², shape (3, 3)."""
-        noise_n: FloatArray = self.rotation_nv @ self.attitude_noise_v @ self.rotation_nv.T
-        return noise_n
-
 
 @dataclass(frozen=True, kw_only=True)
 class Device(ABC):

@@ -174,6 +174,12 @@ class Linearisation:
         model: state vector.
         devices: devices by name.
         vertical: vertical along the track; None if the deflection is not modelled.
+
+    Attributes:
+        longest_shift_s: bound of the difference of INS stamp and device stamp at one time, configured offset plus 5
+            sigma, s.
+        longest_reach_s: bound of the time from a measurement to the required INS samples, configured offset plus 8
+            sigma, s.
     """
 
     def __init__(
@@ -189,23 +195,15 @@ class Linearisation:
             name: tuple(zip(chain.clock_states.tolist(), chain.clock_signs.tolist(), strict=True))
             for name, chain in model.rotation_chains.items()
         }
-        self._configured_sigma_s = {name: _configured_sigma_s(model, device) for name, device in devices.items()}
-
-    @property
-    def longest_shift_s(self) -> float:
-        """Bound of the difference of INS stamp and device stamp at one time, configured offset plus 5 sigma, s."""
-        return self._longest_s(5.0)
-
-    @property
-    def longest_reach_s(self) -> float:
-        """Bound of the time from a measurement to the required INS samples, configured offset plus 8 sigma, s."""
-        return self._longest_s(5.0 + _FAR_SIGMAS)
-
-    def _longest_s(self, sigmas: float) -> float:
-        shifts_s = (
-            abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items()
+        self._configured_sigma_s = {
+            name: float(np.linalg.norm([model.blocks[state].sigma[0] for state, _ in device.ins_time_states]))
+            for name, device in devices.items()
+        }
+        shifts_s = [(abs(device.ins_time_s), self._configured_sigma_s[name]) for name, device in devices.items()]
+        self.longest_shift_s, self.longest_reach_s = (
+            max((shift_s + sigmas * sigma_s for shift_s, sigma_s in shifts_s), default=0.0)
+            for sigmas in (5.0, 5.0 + _FAR_SIGMAS)
         )
-        return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
         """Return the INS stamp of the measured attitude, ns, with the clock offsets of a mean, shape (n,)."""
@@ -279,12 +277,12 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of the measurement"
             return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns)
-        shared_count = task.count_between(ins)
         match = InsMatch(ins, ins_time_ns, track, task.sky_model, self._vertical)
         converted = task.device.convert(measurement, match)
         if isinstance(converted, Rejection):
             return NotEvaluable(converted, ins_time_ns)
         measurement, ins = converted
+        shared_count = task.count_between(ins)
         if shared_count > 1.0:
             # All measurements between two samples share one interpolation error, but the filter treats it as noise. The
             # variance is therefore multiplied by the number of these measurements, so that their mean has the variance
@@ -354,11 +352,6 @@ class Linearisation:
         mean = task.mean[ins_attitude]
         correction[ins_attitude] = log_rotation(rotation_n @ exp_rotation(mean)) - mean
         return correction
-
-
-def _configured_sigma_s(model: ShipStateModel, device: Device) -> float:
-    """Return the configured standard deviation of the clock offset of a device, s."""
-    return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 
 
 def _nonlinear_offset_covariance(
