@@ -89,7 +89,7 @@ def test_stamps_of_an_ins_that_are_late_at_random(most_ms, from_s, seed):
     found = run_core(delay_ins_stamps(voyage(end_s + 20.0, RATE_HZ, seed), 1e-3 * most_ms, from_s, end_s, seed))
     assert found.worst_in_sigmas(from_s + 2.5) < 5.0
     assert found.statuses(from_s + 4.0) == {Status.VALID}
-    assert found.core.ins.checks.ins.comparison.excess_text == ""
+    assert found.core.ins.ins_check.comparison.excess_text == ""
 
 
 @pytest.mark.slow
@@ -100,17 +100,17 @@ def test_quaternions_of_an_ins_with_four_decimals(from_s):
     found = run_core(round_ins(voyage(end_s + 20.0, RATE_HZ), 4, from_s, end_s))
     assert found.worst_in_sigmas(from_s + 2.5) < 5.0
     assert found.statuses(from_s + 4.0) == {Status.VALID}
-    assert found.core.ins.checks.ins.comparison.excess_text == ""
+    assert found.core.ins.ins_check.comparison.excess_text == ""
 
 
 def test_more_noise_than_stated_is_named_with_its_kind_and_size():
     run = voyage(40.0, RATE_HZ)
-    jitter = run_core(delay_ins_stamps(run, 0.012, FROM_S), from_s=39.0).core.ins.checks.ins.comparison.excess_text
-    coarse = run_core(round_ins(run, 4, FROM_S), from_s=39.0).core.ins.checks.ins.comparison.excess_text
+    jitter = run_core(delay_ins_stamps(run, 0.012, FROM_S), from_s=39.0).core.ins.ins_check.comparison.excess_text
+    coarse = run_core(round_ins(run, 4, FROM_S), from_s=39.0).core.ins.ins_check.comparison.excess_text
     # The jitter is uniform from 0 to 12 ms. A step of 1e-4 in a component of a quaternion rotates by 2e-4 rad; the
     # rounding error is uniform over one step.
     assert 12.0 / 12.0**0.5 * 0.8 < float(jitter.split("jitter by ")[1].split(" ms")[0]) < 12.0 / 12.0**0.5 * 1.25
     assert 41.3 / 12.0**0.5 * 0.8 < float(coarse.split("noise is ")[1].split("″")[0]) < 41.3 / 12.0**0.5 * 1.3
     assert "stated 1.0″" in jitter
     assert "stated 1.0″" in coarse
-    assert run_core(run, from_s=39.0).core.ins.checks.ins.comparison.excess_text == ""
+    assert run_core(run, from_s=39.0).core.ins.ins_check.comparison.excess_text == ""

@@ -120,7 +120,7 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
 def correct_directly(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
     """Return the attitude at the time of the state, and the attitude covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
-    by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
+    by = [CorrectedIns(FILTER, state, ShipAttitudeConfig())], np.zeros(1, dtype=np.intp)
     (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), PropagatedBlock(*of_one))
     return rotation, parts
 

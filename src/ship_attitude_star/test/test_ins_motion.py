@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.rejection_rules import Reason
@@ -36,7 +35,7 @@ def sample(time_ms: int, offset_s: float = 0.0, white_n: np.ndarray | None = Non
 
 
 def motion(config: StarInsConfig, *samples: AttitudeSample) -> InsMotion:
-    result = InsMotion(config, PlausibilityChecks(config))
+    result = InsMotion(config)
     for one in samples:
         assert result.add(one) is None
     return result
@@ -116,7 +115,7 @@ def test_excess_noise_counts_in_a_rotation() -> None:
     squares = variances = 0.0
     for draw in range(draws):
         noise = exp_rotation(20.0 * ARCSEC * np.random.default_rng(draw).standard_normal((len(true), 3)))
-        some = InsMotion(config, PlausibilityChecks(config))
+        some = InsMotion(config)
         for one, turned in zip(true, noise, strict=True):
             some.add(replace(one, rotation_nd=turned @ one.rotation_nd))
         turn, covariance_d = turn_of(some, 5000, 5150)
@@ -145,7 +144,7 @@ def test_rotations_over_short_times_have_only_the_noise_not_shared(
     shares = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
     squares, variance = np.zeros(len(shares)), np.zeros(len(shares))
     for _ in range(draws):
-        some = InsMotion(config, PlausibilityChecks(config))
+        some = InsMotion(config)
         for one in true:
             noise = exp_rotation(ARCSEC * rng.standard_normal(3))
             some.track.insert(replace(one, rotation_nd=noise @ one.rotation_nd))
@@ -204,7 +203,7 @@ def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
-        some = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig()))
+        some = InsMotion(StarInsConfig())
         rejections = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in rejections] == [None, None, Reason.CONFLICT, None]
         assert some.deck_prior(START_NS + 40 * MS) is None
@@ -232,7 +231,7 @@ def test_dropped_data_are_not_needed() -> None:
 
 def motion_with_jump(size_rad: float) -> InsMotion:
     """Return an INS whose attitude jumps about Up at 0.8 s; five samples are rejected."""
-    some, step = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig())), np.array([0.0, size_rad, 0.0])
+    some, step = InsMotion(StarInsConfig()), np.array([0.0, size_rad, 0.0])
     rejections = []
     for one in map(sample, range(0, 2000, 40)):
         late = one.time_ns >= START_NS + 800 * MS
@@ -253,7 +252,7 @@ def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None
 
 
 def test_faulty_rates_are_removed_from_the_track() -> None:
-    some = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig()))
+    some = InsMotion(StarInsConfig())
     for one in map(sample, range(0, 1000, 40)):
         assert some.add(replace(one, rate_d=np.zeros(3))) is None
     turn, _ = turn_of(some, 20, 500)

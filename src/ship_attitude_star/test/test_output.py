@@ -34,7 +34,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
         root = rng.normal(scale=scale * sigma_rad, size=initial.covariance_by_source.shape)
         mean = rng.normal(scale=scale * sigma_rad, size=FILTER.model.size)
         started = FILTER.fault_detector.initial_state(mean, root @ root.transpose(0, 2, 1))
-        corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000)))
+        corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000), ShipAttitudeConfig()))
     by = rng.integers(len(corrected), size=SAMPLES)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
     lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
@@ -67,16 +67,16 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
         initial,
         usual,
     ]
-    corrected, config = [CorrectedIns(FILTER, state) for state in states], ShipAttitudeConfig()
+    corrected = [CorrectedIns(FILTER, state, ShipAttitudeConfig()) for state in states]
     times_ns = time_ns + 2_000_000_000 * np.arange(count * len(states))
     rotations, zeros = np.tile(np.eye(3), (len(times_ns), 1, 1)), np.zeros((len(times_ns), 3, 3))
     moved = PropagatedBlock(rotations, np.zeros((len(times_ns), 3)), np.ones(len(times_ns)), zeros)
-    runs = corrected_estimates(corrected, [count] * len(states), times_ns, moved, config)
+    runs = corrected_estimates(corrected, [count] * len(states), times_ns, moved)
     statuses = set()
     for number, (run, one) in enumerate(zip(runs, corrected, strict=True)):
         for place in range(count):
             at = slice(count * number + place, count * number + place + 1)
-            (alone,) = corrected_estimates([one], [1], times_ns[at], moved.subset(at), config)
+            (alone,) = corrected_estimates([one], [1], times_ns[at], moved.subset(at))
             assert repr(run.estimate(place)) == repr(alone.estimate(0))
             assert run.covariance_by_source_n[place].tobytes() == alone.covariance_by_source_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()

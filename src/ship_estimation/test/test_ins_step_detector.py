@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.plausibility.ins_step_detector import InsStepDetector
+from ship_estimation.plausibility.ins_step_detector import InsStepDetector, LineUpdate
 from ship_estimation.plausibility.integrated_rates import IntegratedAttitude, IntegratedRun
 from ship_geometry.rotations import exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
@@ -39,7 +39,7 @@ class Stream:
         integrated = IntegratedAttitude(self.by_rates[number], 0, float(self.missed[number]))
         return detector.check(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
 
-    def follow(self, detector: InsStepDetector, some: slice) -> int:
+    def follow(self, detector: InsStepDetector, some: slice) -> tuple[int, LineUpdate | None]:
         """Accept some samples as a block."""
         integrated = IntegratedRun(self.by_rates[some], 0, self.missed[some])
         return detector.accept_block(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
@@ -52,10 +52,14 @@ def _state(detector: InsStepDetector) -> dict[str, Any]:
         state[name] = state[name][: detector._end]
     return {name: value.tobytes() if isinstance(value, np.ndarray) else value for name, value in state.items()} | {
         "_period": detector._period.ns,
-        "line_statistics": repr(detector.line_statistics),
         "_full": None,
         "_plan": detector.smallest_rad,
     }
+
+
+def has_no_step(update: LineUpdate | None) -> bool:
+    """True if accepted samples show no step."""
+    return update is None or update.step is None
 
 
 @pytest.mark.parametrize("block", [1, 7, 64, 500])
@@ -64,12 +68,15 @@ def test_block_gives_the_state_of_single_samples(block: int) -> None:
     single = InsStepDetector(5e-6, 0.0)
     for number in range(1000):
         stream.look(single, number)
-        assert single.accept() is None
+        assert has_no_step(single.accept())
     together, number = copy.deepcopy(single), 1000
-    while count := stream.follow(together, slice(number, number + block)):
+    while (followed := stream.follow(together, slice(number, number + block)))[0]:
+        count, update = followed
         for other in range(number, number + count):
             assert stream.look(single, other)
-            assert single.accept() is None
+            last = single.accept()
+            assert has_no_step(last)
+        assert repr(last) == repr(update)
         assert _state(single) == _state(together)
         number += count
     # accept_block() stops before the first sample that may be off the line; check() decides about this sample.
@@ -84,7 +91,7 @@ def test_nan_sample_is_not_accepted_in_a_block() -> None:
         stream.look(detector, number)
         detector.accept()
     stream.rotations[1010] = np.nan
-    assert stream.follow(detector, slice(1000, 1100)) == 10
+    assert stream.follow(detector, slice(1000, 1100))[0] == 10
 
 
 def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
@@ -93,7 +100,7 @@ def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
         stream.look(detector, number)
         detector.accept()
     stream.times_ns[1020:] += 9 * _RATE_NS
-    assert stream.follow(detector, slice(1000, 1100)) == 20
+    assert stream.follow(detector, slice(1000, 1100))[0] == 20
 
 
 def test_statistics_start_before_the_first_bound_is_known() -> None:
@@ -102,6 +109,6 @@ def test_statistics_start_before_the_first_bound_is_known() -> None:
         sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])
         integrated = IntegratedAttitude(stream.by_rates[number], 0, 0.0)
         detector.check(sample, integrated, first_rad=math.inf, coarseness_rad=0.0)
-        assert detector.accept() is None
+        assert has_no_step(detector.accept())
     assert detector.is_ready
     assert detector.smallest_rad < 1e-4

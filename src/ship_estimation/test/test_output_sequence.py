@@ -5,7 +5,8 @@ import math
 import pytest
 
 from ship_estimation.rejection_rules import Reason
-from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, OutputSequence
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
+from ship_estimation.time_order.time_ordered_estimator import OutputSequence
 from ship_geometry.earth.time_scales import SECOND_NS
 
 MS = 1_000_000

@@ -8,8 +8,13 @@ import numpy as np
 from hypothesis import given, settings
 
 from ship_estimation.rejection_rules import Reason, Rejection
-from ship_estimation.time_order.outcome import MeasurementDecision, Outcome, OutputSequence
-from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, LagWindow, TimeOrderedEstimator
+from ship_estimation.time_order.outcome import MeasurementDecision, Outcome
+from ship_estimation.time_order.time_ordered_estimator import (
+    EstimatorModel,
+    LagWindow,
+    OutputSequence,
+    TimeOrderedEstimator,
+)
 from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, MOST_REPEATS_AT_ONCE, MOST_REPEATS_PER_S
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.tracks.sample_track import VectorSample, VectorTrack

@@ -7,7 +7,7 @@ vertical. Outputs are measurement decisions and attitudes of the ship. The stars
 
 import enum
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ SHARED_BY_GRAVITY = "gravity"
 
 ATTITUDE_COMPONENTS = ("forward", "up", "right")
 """Components of the residual of an attitude: rotation vector in the device frame."""
+
+
+class CheckedMeasurement(Measurement, Protocol):
+    """A measurement with a value that must not stay constant."""
+
+    @property
+    def stuck_value(self) -> StuckValue:
+        """Value that varies while the ship rotates."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class InertialAttitude:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant; a ship at rest rotates relative to the stars."""
-        return self.rotation_cs, largest_sigma(self.noise_s), "attitude relative to the stars is constant"
+        return StuckValue(self.rotation_cs, largest_sigma(self.noise_s), "attitude relative to the stars is constant")
 
 
 @dataclass(frozen=True)
@@ -189,7 +198,7 @@ class AttitudeMeasurement:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return self.rotation_nv, largest_sigma(self.noise_v), "attitude is constant"
+        return StuckValue(self.rotation_nv, largest_sigma(self.noise_v), "attitude is constant", is_attitude=True)
 
     @property
     def correlated_n(self) -> FloatArray:

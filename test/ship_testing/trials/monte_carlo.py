@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.plausibility import CheckedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.ins_input import InsBatch
@@ -33,6 +32,7 @@ from ship_stars.attitude_samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
+    CheckedMeasurement,
     DeflectionReading,
     InertialAttitude,
     PositionFix,

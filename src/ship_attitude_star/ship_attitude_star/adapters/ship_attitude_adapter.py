@@ -305,7 +305,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
                 text = f"{contradicted}: raise the parameter, or check the INS"
                 return DiagnosticStatus("ins noise", Level.WARN, text)
-        excess = self.core.ins.checks.ins.comparison.excess_text
+        excess = self.core.ins.ins_check.comparison.excess_text
         if not excess:
             text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
             return DiagnosticStatus("ins noise", Level.OK, text)
@@ -319,7 +319,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
             DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, recovery_counts(self.recovery)),
-            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.ins.checks.ins.rate_status]),
+            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.ins.ins_check.rate_status]),
             self._noise_status(),
             recovery_status(self.recovery, self.core.excluded_sources, self.remedy, waiting_ns),
             *vertical_statuses(self.core, self.latest),

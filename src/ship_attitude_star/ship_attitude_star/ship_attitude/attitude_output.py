@@ -11,8 +11,8 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.plausibility.checked_ins import InsChange
 from ship_estimation.rejection_rules import Rejection
-from ship_estimation.time_order.outcome import Measurement, OutputSequence, Status
-from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
+from ship_estimation.time_order.outcome import Measurement, Status
+from ship_estimation.time_order.time_ordered_estimator import OutputSequence, TimeOrderedEstimator
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import exp_rotation, left_jacobian
 from ship_geometry.tracks.attitude_track import AttitudeTrack
@@ -158,6 +158,7 @@ class AttitudeOutput:
         sequence: order and timeout of the outputs.
         corrected: the last used corrections of INS samples.
         ins_timeout_ns: time without an INS sample after which attitudes come from stars alone.
+        ins_arrival_ns: arrival time of the last accepted INS sample, by the timeout clock; None before a sample.
     """
 
     def __init__(
@@ -171,43 +172,39 @@ class AttitudeOutput:
         self._estimator, self.sky_model, self._on_estimate = estimator, sky_model, on_estimate
         self.sequence, self.ins_timeout_ns = OutputSequence(), round(config.ins.silence_s * SECOND_NS)
         self._newest_star: tuple[Measurement, int] | None = None
+        self.ins_arrival_ns: int | None = None
         self.reconfigure(config, filter_)
 
     def reconfigure(self, config: ShipAttitudeConfig, filter_: ShipFilter) -> None:
         """Continue with another configuration and filter."""
         self.config, self.filter = config, filter_
-        self.corrected = CorrectedIns(filter_, self._estimator.state, config.horizon)
+        self.corrected = CorrectedIns(filter_, self._estimator.state, config)
 
     def restart(self) -> None:
         """Start from the state of the estimator, without measurements."""
         self.reconfigure(self.config, self.filter)
-        self._newest_star = None
+        self._newest_star = self.ins_arrival_ns = None
 
     @property
     def must_be_single(self) -> bool:
         """True if each INS sample is processed by itself, because of the vertical or to store each attitude."""
         return self.filter.vertical is not None or self._on_estimate is not None
 
-    def corrected_by(self, state: FilterState) -> CorrectedIns:
-        """Return the corrections by a filter state, cached per state."""
+    def corrected_by(self, state: FilterState | None = None) -> CorrectedIns:
+        """Return the corrections by a filter state (default: the present state for outputs), cached per state."""
+        if state is None:
+            state = self._estimator.state_now
         if state is not self.corrected.state:
             self.corrected = self.corrected.with_state(state)
         return self.corrected
-
-    def propagation_s(self, corrected: CorrectedIns) -> float:
-        """Return the time by which an INS sample is propagated to be the attitude at its stamp, s."""
-        return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def publish_from_ins(self, outcome: AttitudeOutcome, track: AttitudeTrack, time_ns: int, waiting_ns: int) -> None:
         """Publish the attitude at the stamp of the newest INS sample, corrected by the state."""
 
         def by_ins() -> AttitudeEstimate:
-            corrected = self.corrected_by(self._estimator.state_now)
-            estimate = corrected.estimate(time_ns, track.propagate_newest(self.propagation_s(corrected)), self.config)
-            text = self.contradiction_text(time_ns)
-            if not text:
-                return estimate
-            return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=text)
+            text, corrected = self.contradiction_text(time_ns), self.corrected_by()
+            estimate = corrected.estimate(time_ns, track.propagate_newest(corrected.propagation_s))
+            return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=text) if text else estimate
 
         count = len(outcome.estimates)
         self.sequence.add(outcome, time_ns, waiting_ns, by_ins, self.ins_timeout_ns)
@@ -216,7 +213,7 @@ class AttitudeOutput:
 
     def contradiction_text(self, time_ns: int) -> str:
         """Return a text about the sources in use that recently sent conflicting data; empty without such a source."""
-        if not self._estimator.stamp_conflicts:
+        if self._estimator.stamp_conflicts.is_empty:
             return ""
         used_ns, devices = self._estimator.state.last_used_ns, self.filter.devices
         contradictory = [
@@ -226,16 +223,21 @@ class AttitudeOutput:
         ]
         return self._estimator.stamp_conflicts.text(contradictory)
 
-    def add_star(self, measurement: Measurement, arrival_ns: int) -> None:
-        """Store a measurement of a star sensor with fewer than ``gate.conflict_after`` rejections in a row."""
+    def add_measurement(self, outcome: AttitudeOutcome, measurement: Measurement, arrival_ns: int) -> None:
+        """Store a star measurement unless its sensor is in conflict; publish from it if the INS has timed out."""
         rejections = self._estimator.state.consecutive_rejections.get(measurement.source, 0)
         is_usable = self.filter.devices[measurement.source].is_star and rejections < self.config.gate.conflict_after
         if is_usable and self.sequence.can_publish(measurement.time_ns):
             self._newest_star = measurement, arrival_ns
+        self.publish_from_star(outcome, arrival_ns)
 
     def publish_from_star(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
-        """Publish the attitude from the newest star measurement, if that arrived at most 1 s ago."""
-        if self._newest_star is None:
+        """Publish the attitude from the newest star measurement, if the INS has timed out.
+
+        A measurement that arrived more than 1 s ago is not published.
+        """
+        is_ins_recent = self.ins_arrival_ns is not None and waiting_ns - self.ins_arrival_ns <= self.ins_timeout_ns
+        if is_ins_recent or self._newest_star is None:
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None
         if waiting_ns - arrival_ns > SECOND_NS:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence, Set
 from typing import Any, ClassVar, NamedTuple
 
-from ship_attitude_star.plausibility import CheckedMeasurement
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior, prior_from_state, state_from_prior
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator, invalid_estimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -34,6 +33,7 @@ from ship_stars.attitude_samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
+    CheckedMeasurement,
     DeflectionReading,
     SkyInput,
 )
@@ -156,7 +156,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         self.config = config
         self.filter = ShipFilter(config, self.vertical, self.records_updates)
         self.output.reconfigure(config, self.filter)
-        self.ins.reconfigure(config)
+        self.ins.ins_check.reconfigure(config.ins)
 
     def add_surroundings(self, given: SkyInput | DeflectionReading) -> AttitudeOutcome:
         """Add a position fix, an air reading or a deflection of the vertical; evaluate affected measurements again."""
@@ -198,12 +198,12 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         if measurement.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
-        outcome = AttitudeOutcome(self.ins.checks.check(measurement, self.ins.track))
+        source, time_ns = measurement.source, measurement.time_ns
+        by_ins = self.ins.ins_check.motion_references(time_ns, self.ins.track)
+        outcome = AttitudeOutcome(self.ins.stuck_checks.check(source, time_ns, measurement.stuck_value, by_ins))
         if outcome.rejection is not None or not self._estimator.add(measurement, outcome):
             return outcome
-        self.output.add_star(measurement, arrival_ns)
-        if self.ins.is_timed_out(arrival_ns):
-            self.output.publish_from_star(outcome, arrival_ns)
+        self.output.add_measurement(outcome, measurement, arrival_ns)
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
@@ -218,8 +218,7 @@ class ShipAttitudeCore(RecoverableCore[FilterState, InsJump]):
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
         self._estimator.tick(now_ns, outcome)
-        if self.ins.is_timed_out(waiting_ns):
-            self.output.publish_from_star(outcome, waiting_ns)
+        self.output.publish_from_star(outcome, waiting_ns)
         self.output.sequence.report_invalid(
             outcome, waiting_ns, lambda: invalid_estimate(self.filter, self.state, now_ns)
         )

@@ -52,11 +52,12 @@ class CorrectedIns:
     Args:
         filter_: filter and model.
         state: filter state after the last measurement.
-        horizon: configured horizon of the published attitude.
+        config: configuration of the node.
 
     Attributes:
         state: the filter state.
-        time_offset_s: estimated time offset tau of the INS, in addition to the configured offset, s.
+        config: configuration of the node.
+        propagation_s: time by which an INS sample is propagated to be the attitude at its stamp, s.
         since_ns: time of the state, from which the error is propagated. Before the first measurement ``since_ns`` is
             later than every sample, so that nothing is propagated.
         newest_star_ns: stamp of the last accepted star measurement; None without such a measurement.
@@ -72,7 +73,7 @@ class CorrectedIns:
         error_propagation: propagation of the INS error if the filter needs the vertical; else None.
     """
 
-    def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
+    def __init__(self, filter_: ShipFilter, state: FilterState, config: ShipAttitudeConfig) -> None:
         model, ins_attitude = filter_.model, filter_.model.ins_attitude_block
         self.drift_index = model.sources.index(ins_attitude.source)
         self.model_constants = (
@@ -83,14 +84,14 @@ class CorrectedIns:
             model.sources.index(SOURCE_INS_NOISE),
             model.sources.index(SOURCE_INTERPOLATION),
         )
-        self._filter, self._correlated_sigma = filter_, ins_attitude.sigma
+        self._filter, self._correlated_sigma, self.config = filter_, ins_attitude.sigma, config
         self.error_propagation: InsErrorPropagation | None = None
         if filter_.vertical is not None:
             assert model.ins_process is not None
             sources = self.drift_index, model.source_indices.get(SOURCE_DEFLECTION, self.drift_index)
             models_deflection = SOURCE_DEFLECTION in model.source_indices
             self.error_propagation = InsErrorPropagation(
-                model.ins_process, filter_.vertical, sources, models_deflection, horizon == GRAVITY
+                model.ins_process, filter_.vertical, sources, models_deflection, config.horizon == GRAVITY
             )
         attitude, others = np.split(model.process_indices, [3])
         self._rows = np.concatenate([attitude, model.state_indices("ins.time_offset"), others])
@@ -105,7 +106,8 @@ class CorrectedIns:
     def _set_state(self, state: FilterState) -> None:
         rows, self.state = self._rows, state
         mean = self._mean = state.mean[rows]
-        self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
+        self.error_n = mean[_ATTITUDE]
+        self.propagation_s = -(self.config.ins.time_offset_s + float(mean[_TIME_OFFSET]))
         self.exceeds_model = exceeds_model(self.error_n, self._correlated_sigma).view(np.uint8)
         self.covariance_by_source: FloatArray = state.covariance_by_source[:, rows[:, None], rows]
         self.since_ns = _AFTER_ALL_SAMPLES_NS if state.time_ns is None else state.time_ns
@@ -121,10 +123,10 @@ class CorrectedIns:
             since_ns, self.state.vertical, self._mean, self.covariance_by_source, until_ns
         )
 
-    def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
+    def estimate(self, time_ns: int, ins: InterpolatedAttitude) -> AttitudeEstimate:
         """Return the attitude at the stamp of an INS sample, with its status."""
         propagated = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
-        (series,) = corrected_estimates([self], [1], np.array([time_ns]), PropagatedBlock(*propagated), config)
+        (series,) = corrected_estimates([self], [1], np.array([time_ns]), PropagatedBlock(*propagated))
         return series.estimate(0)
 
     def attitudes_with_errors(
@@ -145,22 +147,20 @@ class CorrectedIns:
         )
         return found
 
-    def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
+    def statuses(self, star_age_s: FloatArray) -> tuple[list[Status], list[str]]:
         """Return the statuses of N attitudes, and the reasons why they are DEGRADED.
 
         Args:
             star_age_s: time since the last accepted star measurement, in ascending order, s, shape (N,).
-            coasting_after_s: maximum star age of a VALID attitude, s.
         """
-        count = len(star_age_s)
-        first, last = (self._attitude_status(float(star_age_s[number]), coasting_after_s) for number in (0, -1))
-        if first == last:
-            return [first[0]] * count, [first[1]] * count
-        statuses = [self._attitude_status(age_s, coasting_after_s) for age_s in star_age_s.tolist()]
-        return [status for status, _ in statuses], [text for _, text in statuses]
+        ages_s = star_age_s.tolist()
+        first, last = self._attitude_status(ages_s[0]), self._attitude_status(ages_s[-1])
+        found = [first] * len(ages_s) if first == last else [self._attitude_status(age_s) for age_s in ages_s]
+        return [status for status, _ in found], [text for _, text in found]
 
-    def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
-        """Return the sources of each attitude: the INS, and sources with a measurement accepted within recent_ns."""
+    def sources(self, time_ns: StampArray) -> list[tuple[str, ...]]:
+        """Return the sources of each attitude: the INS, and sources with a recently accepted measurement."""
+        recent_ns = round(self.config.coasting_after_s * SECOND_NS)
 
         def at(stamp_ns: int) -> tuple[str, ...]:
             used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= stamp_ns - recent_ns]
@@ -170,15 +170,15 @@ class CorrectedIns:
         # Without new measurements sources can only time out.
         return [first] * len(time_ns) if first == last else [at(stamp_ns) for stamp_ns in time_ns.tolist()]
 
-    def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
+    def degrade_above_limit(self, series: AttitudeSeries) -> None:
         """Set the status to DEGRADED for attitudes with a protection level that is missing or above the alert limit."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
-                text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
+                text = alert_limit_text(integrity_of(self._filter, self.config, series.estimate(number)), QUANTITIES)
                 if text:
                     series.status[number], series.text[number] = Status.DEGRADED, text
 
-    def _attitude_status(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
+    def _attitude_status(self, star_age_s: float) -> tuple[Status, str]:
         """Return the status of an attitude, and the reason why it is DEGRADED."""
         if self.state.unresolved_fault is not None:
             return Status.DEGRADED, self.state.unresolved_fault.text
@@ -186,7 +186,7 @@ class CorrectedIns:
             return Status.DEGRADED, "INS alone, no star yet"
         if self.state.unconfirmed_step is not None:
             return Status.DEGRADED, self.state.unconfirmed_step.text
-        if star_age_s <= coasting_after_s:
+        if star_age_s <= self.config.coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:
             return Status.DEGRADED, "no star measurement is used, and the INS contradicted the stars"
@@ -227,7 +227,6 @@ def corrected_estimates(
     counts: Sequence[int],
     time_ns: StampArray,
     propagated: PropagatedBlock,
-    config: ShipAttitudeConfig,
 ) -> list[AttitudeSeries]:
     """Return the attitudes at the stamps of N INS samples, one series per filter state.
 
@@ -236,7 +235,6 @@ def corrected_estimates(
         counts: number of successive samples of each of these states, at least one.
         time_ns: stamps, in ascending order, shape (N,).
         propagated: samples propagated by the time offset.
-        config: configuration of the node.
     """
     state_index = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
     since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[state_index], 0)
@@ -267,10 +265,10 @@ def corrected_estimates(
             covariance_by_source[some, one.drift_index] += one.state.separation_covariance_n
             covariance_n = covariance_by_source.sum(axis=1)
     star_age_s = _star_ages_s(corrected, state_index, time_ns)
+    config, all_series = corrected[0].config, []
     horizon = _horizons(star_age_s, vertical_known, config)
-    recent_ns, all_series = round(config.coasting_after_s * SECOND_NS), []
     for one, some in zip(corrected, segments, strict=True):
-        status, text = one.statuses(star_age_s[some], config.coasting_after_s)
+        status, text = one.statuses(star_age_s[some])
         series = AttitudeSeries(
             time_ns=time_ns[some],
             rotation_nd=rotation_nd[some],
@@ -280,13 +278,13 @@ def corrected_estimates(
             rate_d=propagated.rate_d[some],
             status=status,
             horizon=horizon[some],
-            sources=one.sources(time_ns[some], recent_ns),
+            sources=one.sources(time_ns[some]),
             star_age_s=star_age_s[some],
             state=one.state,
             text=text,
         )
         if config.integrity.alert_limit_arcsec:
-            one.degrade_above_limit(series, config)
+            one.degrade_above_limit(series)
         all_series.append(series)
     return all_series
 

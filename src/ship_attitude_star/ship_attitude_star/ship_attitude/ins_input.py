@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.ship_attitude.attitude_output import AttitudeOutput, ShipEstimator
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import corrected_estimates
 from ship_attitude_star.ship_attitude.model import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump
+from ship_estimation.plausibility.ins_check import InsCheck
+from ship_estimation.plausibility.stuck_check import StuckChecks
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
 from ship_estimation.rejection_rules import Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
@@ -95,7 +96,7 @@ class InsBatch:
         """Return the attitudes of all committed samples in order, one series per segment.
 
         Args:
-            output: corrections by filter states, and the configuration.
+            output: corrections by filter states.
 
         Returns:
             Slices of sample indices, with their attitudes or the failure to compute them.
@@ -103,17 +104,17 @@ class InsBatch:
         corrected = [output.corrected_by(segment.state) for segment in self._segments]
         samples = [slice(segment.start, segment.stop) for segment in self._segments]
         counts = [some.stop - some.start for some in samples]
-        propagation_s = np.repeat([output.propagation_s(one) for one in corrected], counts)
+        propagation_s = np.repeat([one.propagation_s for one in corrected], counts)
         propagated = propagate_block(self.previous, self.block, propagation_s).with_noise(self.extra_noise)
         times_ns, found = self.block.times_ns[: self.committed_count], list[AttitudeSeries | Rejection]()
         try:
-            found += corrected_estimates(corrected, counts, times_ns, propagated, output.config)
+            found += corrected_estimates(corrected, counts, times_ns, propagated)
         except Exception:
             # The segments are computed one by one to find the segment that fails.
             for one, some, count in zip(corrected, samples, counts, strict=True):
                 part = propagated.subset(some)
                 try:
-                    found += corrected_estimates([one], [count], times_ns[some], part, output.config)
+                    found += corrected_estimates([one], [count], times_ns[some], part)
                 except Exception as error:
                     found.append(failure_rejection(error))
         for segment, run in zip(self._segments, found, strict=True):
@@ -133,7 +134,8 @@ class InsInput:
 
     Attributes:
         track: accepted samples.
-        checks: plausibility checks of the INS, and of other sources by comparison with the INS.
+        ins_check: plausibility checks of the samples.
+        stuck_checks: checks for a constant value of the other sources.
         jumps: jumps that were detected from the INS rates and not yet read.
     """
 
@@ -146,17 +148,8 @@ class InsInput:
     def reset(self) -> None:
         """Discard all samples and restart the checks."""
         self.track = AttitudeTrack(self._max_gap_ns)
-        self.checks = PlausibilityChecks(self._output.config.ins)
+        self.ins_check, self.stuck_checks = InsCheck(self._output.config.ins), StuckChecks()
         self.jumps.clear()
-        self._arrival_ns: int | None = None
-
-    def reconfigure(self, config: ShipAttitudeConfig) -> None:
-        """Continue with changed noise and gate parameters."""
-        self.checks.ins.reconfigure(config.ins)
-
-    def is_timed_out(self, waiting_ns: int) -> bool:
-        """True without a sample, or if the last accepted sample arrived more than ``ins.silence_s`` ago."""
-        return self._arrival_ns is None or waiting_ns - self._arrival_ns > self._output.ins_timeout_ns
 
     def add(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """Add an INS sample.
@@ -168,9 +161,8 @@ class InsInput:
         """
         if sample.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(sample.time_ns))
-        outcome = AttitudeOutcome()
-        checked = self.checks.ins.check(sample, self.track, self.checks.motion_references)
-        return self._use(checked, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
+        checked = self.ins_check.check(sample, self.track, self.stuck_checks.motion_references)
+        return self._use(checked, sample.time_ns if arrival_ns is None else arrival_ns, estimate)
 
     def evaluate_block(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
@@ -186,16 +178,16 @@ class InsInput:
         """
         first_ns = int(block.times_ns[0])
         # The vertical at a sample may change with position fixes that arrive before the block ends.
-        if self._output.must_be_single or not self.checks.ins.can_check_block(first_ns):
+        if self._output.must_be_single or not self.ins_check.can_check_block(first_ns):
             return None
-        newest, before = self.track.newest, self.track.recent_block()
-        if newest is None or before is None or self._arrival_ns is None:
+        newest, before, arrival_ns = self.track.newest, self.track.recent_block(), self._output.ins_arrival_ns
+        if newest is None or before is None or arrival_ns is None:
             return None
         if not (newest.time_ns < first_ns and self._output.sequence.can_publish(first_ns)):
             return None
         # The batch ends before a gap, before an INS timeout, and before a sample that may be late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
-        waits_ns = np.diff(arrivals_ns, prepend=self._arrival_ns)
+        waits_ns = np.diff(arrivals_ns, prepend=arrival_ns)
         near = (
             (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._output.ins_timeout_ns, SECOND_NS))
         )
@@ -204,7 +196,7 @@ class InsInput:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        checked = self.checks.ins.check_block(samples, block)
+        checked = self.ins_check.check_block(samples, block)
         if not checked.count:
             return None
         extra = self.track.extra_noise(first_ns)
@@ -224,29 +216,27 @@ class InsInput:
                 if outcome.decisions or outcome.failures:
                     batch.pending_outcomes.append((batch.committed_count, outcome))
             contradiction_texts = None
-            if self._estimator.stamp_conflicts:
+            if not self._estimator.stamp_conflicts.is_empty:
                 contradiction_texts = [
                     self._output.contradiction_text(sample.time_ns)
                     for sample in batch.samples[batch.committed_count : end]
                 ]
             batch.commit(self._estimator.state_now, end, contradiction_texts)
-            self._arrival_ns = int(batch.arrivals_ns[end - 1])
-            self._output.sequence.record(batch.samples[end - 1].time_ns, self._arrival_ns, self._output.ins_timeout_ns)
-            self.checks.ins.by_rates = batch.checked.by_rates(end - 1)
+            self._output.ins_arrival_ns = arrival_ns = int(batch.arrivals_ns[end - 1])
+            self._output.sequence.record(batch.samples[end - 1].time_ns, arrival_ns, self._output.ins_timeout_ns)
+            self.ins_check.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_block(self, batch: InsBatch) -> AttitudeOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without such a sample."""
         values, last = batch.block.rotations_nd[: batch.checked.count], batch.checked.last
-        self.checks.ins.commit_block(values, batch.checked, self.checks.motion_references)
+        self.ins_check.commit_block(values, batch.checked, self.stuck_checks.motion_references)
         if last is None:
             return None
-        return self._use(last, int(batch.arrivals_ns[len(batch.samples)]), AttitudeOutcome(), True)
+        return self._use(last, int(batch.arrivals_ns[len(batch.samples)]), True)
 
-    def _use(
-        self, checked: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
-    ) -> AttitudeOutcome:
+    def _use(self, checked: CheckedInsSample, arrival_ns: int, estimate: bool) -> AttitudeOutcome:
         """Use a checked INS sample and publish the attitude at its stamp."""
-        time_ns = checked.sample.time_ns
+        sample, outcome = checked.sample, AttitudeOutcome()
         if checked.rates_wrong_after_ns is not None:
             # The rates are faulty. Measurements evaluated with these rates are evaluated again without rates.
             changed_after_ns = self.track.drop_rates(checked.rates_wrong_after_ns)
@@ -266,18 +256,18 @@ class InsInput:
             self._estimator.add_jump(effective_ns, INS, jump, self.track.add_cut(jump.time_ns))
         if checked.rejection is not None:
             outcome.rejection = checked.rejection
-            self._estimator.add_rejected(INS, self.track, checked.sample)
+            self._estimator.add_rejected(INS, self.track, sample)
             return outcome
-        if not self._estimator.add_sample(INS, self.track, checked.sample, outcome):
+        if not self._estimator.add_sample(INS, self.track, sample, outcome):
             return outcome
         # Propagation by a clock offset needs the rate. Without a rate an attitude is published only before the first
         # measurement.
-        if self.track.newest is checked.sample and (
-            self.track.has_newest_rate or self._estimator.state.time_ns is None
+        if self.track.newest is sample and (
+            sample.rate_d is not None or self.track.is_newest_joined or self._estimator.state.time_ns is None
         ):
-            self._arrival_ns = arrival_ns
+            self._output.ins_arrival_ns = arrival_ns
             if estimate:
-                self._output.publish_from_ins(outcome, self.track, time_ns, arrival_ns)
+                self._output.publish_from_ins(outcome, self.track, sample.time_ns, arrival_ns)
         return outcome
 
     def block_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeSeries | Rejection]]:

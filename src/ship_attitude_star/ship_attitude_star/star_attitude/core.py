@@ -11,9 +11,6 @@ at :class:`ship_node.adapters.adapter.Adapter`.
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     AttitudeSolution,
@@ -26,6 +23,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_exposure,
 )
 from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, MotionBatch
+from ship_estimation.plausibility.stuck_check import MotionReference, StuckChecks, largest_sigma
 from ship_estimation.rejection_rules import (
     CONFLICT_HOLD_S,
     Reason,
@@ -36,15 +34,13 @@ from ship_estimation.rejection_rules import (
 )
 from ship_estimation.time_order.time_ordered_estimator import LagWindow
 from ship_geometry.earth.time_scales import SECOND_NS, StampArray
-from ship_geometry.rotations import FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.tracks.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_stars.attitude_from_stars.exposure import StarExposure
-from ship_stars.attitude_samples import AttitudeMeasurement, SkyInput
+from ship_stars.attitude_samples import SkyInput
 from ship_stars.sky.sky_model import SkyModel
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
-_EXACT: FloatArray = np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -170,11 +166,11 @@ class StarCore:
         self._start_without_samples()
 
     def _start_without_samples(self) -> None:
-        self._plausibility = PlausibilityChecks(self._config.ins)
+        self._stuck_checks = StuckChecks()
         # Two publishers of a source remain recorded.
         self._stamp_conflicts.reset()
         self._ins_stamp_conflicts.reset()
-        self._ins = InsMotion(self._config.ins, self._plausibility, self._ins_stamp_conflicts)
+        self._ins = InsMotion(self._config.ins, self._stuck_checks.motion_references, self._ins_stamp_conflicts)
         self._received: dict[tuple[str, int], StarExposure] = {}
         self._pending: dict[tuple[str, int], _PendingExposure] = {}
         self._window = JointWindow(self._sources, self._config.joint)
@@ -250,7 +246,8 @@ class StarCore:
         key = exposure.source, exposure.time_ns
         known = self._received.get(key)
         if known is None:
-            rejection = self._plausibility.check(exposure, self._ins.track)
+            by_ins = self._ins.ins_check.motion_references(exposure.time_ns, self._ins.track)
+            rejection = self._stuck_checks.check(*key, exposure.stuck_value, by_ins)
             if rejection is not None:
                 return StarOutcome(rejection)
         else:
@@ -341,8 +338,8 @@ class StarCore:
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
             noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            self._plausibility.add_motion_reference(
-                AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT)
+            self._stuck_checks.motion_references[placed.source] = MotionReference(
+                solved.time_ns, rotation_ns, largest_sigma(noise_s)
             )
         return placed, solved
 

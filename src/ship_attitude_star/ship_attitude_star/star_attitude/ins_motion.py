@@ -10,15 +10,16 @@ variance of the rotation is zero if the ends coincide. If the ends have no sampl
 the variances of the ends. Several rotations to one time share the noise at that time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_attitude_star.plausibility import PlausibilityChecks
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_estimation.parameters.ship_devices import StarInsConfig
 from ship_estimation.plausibility.checked_ins import CheckedBlock, CheckedInsSample, InsJump
+from ship_estimation.plausibility.ins_check import InsCheck
+from ship_estimation.plausibility.stuck_check import MotionReference
 from ship_estimation.rejection_rules import Rejection, StampConflicts, resolve_same_stamp
 from ship_estimation.time_order.time_ordered_estimator import is_within_lag
 from ship_geometry.earth.time_scales import SECOND_NS, StampArray
@@ -57,18 +58,23 @@ class InsMotion:
 
     Args:
         config: parameters of the INS.
-        plausibility: plausibility checks.
+        motion_references: attitude by each other source, by name of the source; None without other sources.
         stamp_conflicts: conflicts of INS samples with one stamp; None for a new record.
 
     Attributes:
         track: INS samples in time order.
+        ins_check: plausibility checks of the samples.
     """
 
     def __init__(
-        self, config: StarInsConfig, plausibility: PlausibilityChecks, stamp_conflicts: StampConflicts | None = None
+        self,
+        config: StarInsConfig,
+        motion_references: Mapping[str, MotionReference] | None = None,
+        stamp_conflicts: StampConflicts | None = None,
     ) -> None:
         self._config = config
-        self._plausibility = plausibility
+        self.ins_check = InsCheck(config)
+        self._motion_references = {} if motion_references is None else motion_references
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
@@ -78,11 +84,11 @@ class InsMotion:
     def reconfigure(self, config: StarInsConfig) -> None:
         """Continue with changed noise parameters."""
         self._config = config
-        self._plausibility.ins.reconfigure(config)
+        self.ins_check.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Rejection | None:
         """Add a sample; return its rejection or a remark, None without either."""
-        return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
+        return self._use(self.ins_check.check(sample, self.track, self._motion_references))
 
     def evaluate_block(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
@@ -97,8 +103,8 @@ class InsMotion:
         Returns:
             The batch; None if the first sample needs separate handling.
         """
-        newest, check = self.track.newest, self._plausibility.ins
-        if newest is None or not check.can_check_block(int(block.times_ns[0])):
+        newest = self.track.newest
+        if newest is None or not self.ins_check.can_check_block(int(block.times_ns[0])):
             return None
         # A batch ends before a sample after a gap, and before a sample that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
@@ -107,7 +113,7 @@ class InsMotion:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        checked = check.check_block(samples, block)
+        checked = self.ins_check.check_block(samples, block)
         if not checked.count:
             return None
         return MotionBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
@@ -115,11 +121,11 @@ class InsMotion:
     def commit_block(self, batch: MotionBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         self.track.extend(batch.samples[batch.committed_count : stop])
-        batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
+        batch.committed_count, self.ins_check.by_rates = stop, batch.checked.by_rates(stop - 1)
 
     def finish_block(self, batch: MotionBatch) -> Rejection | None:
         """Finish a batch with the sample that needs separate handling, if any; the result is as for :meth:`add`."""
-        self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
+        self.ins_check.commit_block(batch.values, batch.checked, self._motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
     def _use(self, checked: CheckedInsSample) -> Rejection | None:

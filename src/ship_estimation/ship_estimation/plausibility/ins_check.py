@@ -76,7 +76,7 @@ class InsCheck:
         self._predictions.drift.has_earth_rate = config.rate_has_earth_rate
 
     @property
-    def noise_rad(self) -> float:
+    def _noise_rad(self) -> float:
         """Noise of an attitude about its worst axis, rounding included, rad."""
         return math.hypot(self.comparison.sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
 
@@ -84,6 +84,15 @@ class InsCheck:
     def rate_status(self) -> RateStatus:
         """Status of the rates."""
         return self._rate_check.status
+
+    def motion_references(self, time_ns: int, accepted_track: AttitudeTrack) -> dict[str, MotionReference]:
+        """Return the attitudes by orientation and by rates at or before a stamp, for the checks of other sources."""
+        references, noise_rad, ins = dict[str, MotionReference](), self._noise_rad, accepted_track.last_before(time_ns)
+        if ins is not None:
+            references["ins"] = MotionReference(ins.time_ns, ins.rotation_nd, noise_rad)
+        if self.by_rates is not None and self.by_rates.time_ns <= time_ns:
+            references["rate"] = self.by_rates
+        return references
 
     def check(
         self,
@@ -111,7 +120,9 @@ class InsCheck:
                 sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1))
             )
         else:
-            checked = self.comparison.with_noise(self._check_next(sample, previous, motion_references))
+            checked = self._check_next(sample, previous, motion_references)
+            if self.comparison.new_noise is not None:
+                checked = self.comparison.with_noise(checked)
         if self._rate_check.is_usable or sample.rate_d is None:
             return checked
         return checked._replace(sample=replace(sample, rate_d=None))
@@ -204,7 +215,7 @@ class InsCheck:
         taken = self._accepted
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
             return 0, None
-        count = self.comparison.step_detector.accept_block(
+        count, update = self.comparison.step_detector.accept_block(
             *block, integrated, self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
         )
         if count == 0:
@@ -213,13 +224,14 @@ class InsCheck:
         previous, self._accepted = self._last_two(samples, integrated, taken, count)
         seen = self._accepted
         self.comparison.integrator.resume_from(last.time_ns, block.rates_d[count - 1], integrated.sample(count - 1))
-        jumps = self.comparison.drift_jumps(last)
+        jumps = () if update is None else self.comparison.apply_update(update, last)
         if jumps:
             self._accepted = seen._replace(before=None)
         self._previous = self._accepted
         wrong_after_ns = self._check_rates(previous, seen) if count == due else None
         sample = last if self._rate_check.is_usable else replace(last, rate_d=None)
-        checked = self.comparison.with_noise(CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns))
+        rejection = _step_rejection(jumps) if jumps else None
+        checked = self.comparison.with_noise(CheckedInsSample(sample, rejection, jumps, wrong_after_ns))
         is_usual = not jumps and wrong_after_ns is None and checked.noise is None
         return count, None if is_usual else checked
 
@@ -253,25 +265,29 @@ class InsCheck:
             self.comparison.step_detector.restart()
             self._is_smooth_since_accepted = False
             return CheckedInsSample(sample, _STUCK)
-        if self._accepted is None or previous is None:
+        taken, is_on_line = self._accepted, None
+        if taken is None or previous is None:
             self.comparison.excess.start_collecting(sample.time_ns, 0.0)
             self._accept(seen, None)
             return CheckedInsSample(sample)
-        return self._compare(self._accepted, previous, seen)
-
-    def _compare(self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample) -> CheckedInsSample:
-        """Check a sample against the last accepted sample and the previous sample."""
-        sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
-        if seen.integrated is not None:
-            on_line = self.comparison.check(sample, seen.integrated, self._stuck_check.coarseness_rad)
-        if on_line and previous is taken:
-            # Nearly all samples of a healthy INS take this branch.
-            jumps = self.comparison.accept(seen.sample)
-            self._accept(seen, None if jumps else taken)
-            due = sample.time_ns >= self._rate_check.due_ns
-            return CheckedInsSample(
-                sample, _step_rejection(jumps), jumps, self._check_rates(previous, seen) if due else None
+        if integrated is not None:
+            is_on_line, jumps = self.comparison.check(
+                sample, integrated, self._stuck_check.coarseness_rad, accepts=previous is taken
             )
+            if is_on_line and previous is taken:
+                # Nearly all samples of a healthy INS take this branch.
+                self._accepted = self._previous = seen._replace(before=None) if jumps else seen
+                self._is_smooth_since_accepted = True
+                is_due = sample.time_ns >= self._rate_check.due_ns
+                wrong_after_ns = self._check_rates(previous, seen) if is_due else None
+                return CheckedInsSample(sample, _step_rejection(jumps) if jumps else None, jumps, wrong_after_ns)
+        return self._check_off_line(taken, previous, seen, is_on_line)
+
+    def _check_off_line(
+        self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample, on_line: bool | None
+    ) -> CheckedInsSample:
+        """Check a sample outside the usual case against the last accepted sample and the previous sample."""
+        sample, measured = seen.sample, self._rate_check.status is RateStatus.MEASURED
         match = (
             self._predictions.match(taken, seen, measured) if on_line is None else self.comparison.step_detector.match()
         )
@@ -317,7 +333,7 @@ class InsCheck:
             jumps = (self._accepted_jump(match),)
         if not jumps and match.fits:
             jumps = self.comparison.accept(seen.sample)
-            rejection = _step_rejection(jumps)
+            rejection = _step_rejection(jumps) if jumps else None
         else:
             self.comparison.step_detector.restart()
         self._accept(seen, None if jumps else taken)
@@ -368,7 +384,7 @@ class InsCheck:
         # Noise of a rate, each axis, as an error of the attitude integrated over one sample interval.
         rate_noise_rad = self._predictions.rate_bound.typical_rad / math.sqrt(6.0)
         wrong_after_ns = self._rate_check.observe(
-            sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
+            sample.time_ns, seen.number, sample.rotation_nd, integrated, self._noise_rad, rate_noise_rad
         )
         if wrong_after_ns is not None:
             self.comparison.reset()
@@ -409,12 +425,10 @@ def _gate_rejection(match: PredictionMatch) -> Rejection:
     return Rejection(Reason.GATE, text)
 
 
-def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection | None:
-    """Return the rejection that reports a step or drift found in several samples; None without jumps.
+def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection:
+    """Return the rejection that reports a step or drift found in several samples.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.
     """
-    if not jumps:
-        return None
     off_arcsec, how = vector_length(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].is_drift else "stepped"
     return Rejection(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

@@ -77,6 +77,20 @@ class LineStatistics(NamedTuple):
     typical_rad: float
 
 
+class LineUpdate(NamedTuple):
+    """Results of accepting samples.
+
+    Attributes:
+        step: step of the attitude before the last sample; None without a step.
+        noise: noise sums of the samples on the line; None without new sums.
+        statistics: statistics of the samples on the line; None without new statistics.
+    """
+
+    step: DetectedStep | None = None
+    noise: NoiseSums | None = None
+    statistics: LineStatistics | None = None
+
+
 class InsStepDetector:
     """Detector of steps of one INS attitude against its integrated rates.
 
@@ -87,18 +101,15 @@ class InsStepDetector:
         white_rad: noise of an attitude about each axis.
         rate_sigma_rad_per_s: noise of a rate about each axis.
 
-    Attributes:
-        line_statistics: statistics of the recently accepted samples; None without new statistics.
-        noise: noise sums of the recently accepted samples; None without new sums.
-
     >>> watch, turned = InsStepDetector(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
     >>> for n, vector in enumerate(turned):
     ...     sample = AttitudeSample(n * 10_000_000, exp_rotation(vector), np.zeros(3))
     ...     fits = watch.check(sample, IntegratedAttitude(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
-    ...     found = watch.accept()
-    ...     if found is not None:
+    ...     update = watch.accept()
+    ...     if update is not None and update.step is not None:
     ...         break
+    >>> found = update.step
     >>> found.first_ns // 10_000_000, 1400 <= n < 1420, (found.step_n * 1e5).round() + 0.0
     (1400, True, array([0., 3., 0.]))
     """
@@ -114,8 +125,6 @@ class InsStepDetector:
         self._coarseness_rad = self._error_rad = self._last_step_error_rad = self._apparent_step_rad = 0.0
         self._run, self._last_ns = -1, 0
         self._to_line: FloatArray | None = None
-        self.line_statistics: LineStatistics | None = None
-        self.noise: NoiseSums | None = None
         self.restart()
 
     def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
@@ -211,8 +220,8 @@ class InsStepDetector:
         step = self._plan.weights[0].dot(self._rows[self._end + 1 - self._plan.length : self._end + 1])
         return PredictionMatch(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
 
-    def accept(self) -> DetectedStep | None:
-        """Accept the last checked sample; return the step that this sample shows, or None; a step starts a new line."""
+    def accept(self) -> LineUpdate | None:
+        """Accept the last checked sample; return what it shows, usually None; a step starts a new line."""
         if self._pending is None:
             return None
         self._times[self._end] = self._last_ns = self._now_ns
@@ -224,15 +233,12 @@ class InsStepDetector:
             and not max(self._sizes.tolist()) <= 1.0
             and not self._is_explained_by_lag(plan)
         ):
-            found = self._detected_step()
+            update = LineUpdate(self._detected_step())
             self.restart()
-            return found
+            return update
         self._since_learnt += 1
-        if self._since_learnt >= self._learn_every:
-            self._learn()
-        if self._end == len(self._rows):
-            self._shift()
-        return None
+        learnt = self._learn() if self._since_learnt >= self._learn_every else None
+        return self._shift() if self._end == len(self._rows) else learnt
 
     def accept_block(
         self,
@@ -242,8 +248,8 @@ class InsStepDetector:
         integrated: IntegratedRun,
         first_rad: float,
         coarseness_rad: float,
-    ) -> int:
-        """Accept the leading samples of a block that are on the line; return their number.
+    ) -> tuple[int, LineUpdate | None]:
+        """Accept the leading samples of a block that are on the line; return their number, and what they show.
 
         The result is the same as with :meth:`check` and :meth:`accept` for each sample. A first sample that is not
         accepted may be off the line or may start a new line; check it by these methods.
@@ -258,7 +264,7 @@ class InsStepDetector:
         """
         plan, end = self._plan, self._end
         if plan is None or self._to_line is None or not self.is_ready or integrated.run != self._run:
-            return 0
+            return 0, None
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
         some = slice(min(len(times_ns), len(self._rows) - end))
         count, sizes, *learnt = compiled_checks.accepted_on_line(
@@ -285,15 +291,13 @@ class InsStepDetector:
             self._scaled,
         )
         if count == 0:
-            return 0
+            return 0, None
         self._last_step_error_rad, self._apparent_step_rad, self._since_learnt, self._learns = learnt
         self._sizes, self._error_rad = sizes, float(integrated.error_rad[count - 1])
         self._rates[end : end + count], self._times[end : end + count] = rates_d[:count], times_ns[:count]
         self._end, self._newest, self._pending = end + count, end + count - 1, None
         self._last_ns = self._now_ns = int(times_ns[count - 1])
-        if self._end == len(self._rows):
-            self._shift()
-        return int(count)
+        return int(count), self._shift() if self._end == len(self._rows) else None
 
     def _is_explained_by_lag(self, plan: StepPlan) -> bool:
         """True if a small lag of the rates explains the apparent step, as at the start of a rotation."""
@@ -316,8 +320,8 @@ class InsStepDetector:
         self._high = np.zeros(len(self._full.counts))
         self.reset_statistics()
 
-    def _learn(self) -> None:
-        """Update the statistics of apparent steps, and change to a longer line if possible."""
+    def _learn(self) -> LineUpdate | None:
+        """Update the statistics of apparent steps; change to a longer line if possible, and return its noise."""
         assert self._full is not None
         self._since_learnt, full, before = 0, self._full, self._plan
         if before is full:
@@ -326,15 +330,17 @@ class InsStepDetector:
             if self._learns % compiled_checks.SET_EVERY == 0 or not self._is_ready:
                 self._apparent_step_rad *= compiled_checks.FORGET
                 self._set_bounds(full)
-            return
+            return None
         for share in (1, 2, 4):
             length = full.length // share
             if self._end >= length:
                 if share == 1:
-                    self._sum_noise()
-                after = [count for count in full.counts if share == 1 or count <= length // 3]
-                self._use_plan(full if share == 1 else step_plan(length, tuple(after) or (1,)))
-                return
+                    self._use_plan(full)
+                    return LineUpdate(noise=self._noise()[0])
+                after = tuple(count for count in full.counts if count <= length // 3)
+                self._use_plan(step_plan(length, after or (1,)))
+                break
+        return None
 
     def _use_plan(self, plan: StepPlan) -> None:
         """Check samples with another plan from now on."""
@@ -366,8 +372,8 @@ class InsStepDetector:
         sigmas: FloatArray = np.hypot(self._white_rad * plan.white, turn_rad * plan.walk)
         return sigmas
 
-    def _shift(self) -> None:
-        """Drop the older samples of the full buffer after computing its statistics.
+    def _shift(self) -> LineUpdate:
+        """Drop the older samples of the full buffer; return its noise and statistics.
 
         If the newest sample is more than ``_FAR_RAD`` from the origin of the line, this sample becomes the new origin.
         """
@@ -375,9 +381,9 @@ class InsStepDetector:
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
-        differences = self._sum_noise()
+        noise, differences = self._noise()
         typical_rad = math.sqrt(float(np.mean(np.sum(differences**2, axis=1))))
-        self.line_statistics = LineStatistics(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
+        statistics = LineStatistics(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
         for values in (rows, self._rates, self._times):
             values[:keep] = values[-keep:].copy()
         self._end = keep
@@ -385,17 +391,18 @@ class InsStepDetector:
             assert self._to_line is not None
             self._to_line = self._to_line.dot(exp_rotation(-rows[keep - 1]))
             rows[:keep] -= rows[keep - 1].copy()
+        return LineUpdate(noise=noise, statistics=statistics)
 
-    def _sum_noise(self) -> FloatArray:
-        """Sum the noise of the accepted samples; return the differences of successive samples, rad, shape (n, 3).
+    def _noise(self) -> tuple[NoiseSums | None, FloatArray]:
+        """Return the noise sums of the accepted samples, and the differences of successive samples, rad, shape (n, 3).
 
         Samples at irregular times are not summed, because the integration error of the rates exceeds the noise there.
         """
         times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
         steps_ns = np.diff(times_ns)
         if float(steps_ns.std()) <= _IRREGULAR * float(steps_ns.mean()):
-            self.noise = noise_sums(times_ns, differences, _MISSING * self._period.ns)
-        return differences
+            return noise_sums(times_ns, differences, _MISSING * self._period.ns), differences
+        return None, differences
 
     def _detected_step(self) -> DetectedStep:
         """Return the step between the accepted samples, with the interval of stamps at which it may have happened."""

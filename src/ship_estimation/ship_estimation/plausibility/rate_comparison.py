@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_estimation.plausibility.checked_ins import CheckedInsSample, InsJump
 from ship_estimation.plausibility.excess_noise import ExcessNoise
-from ship_estimation.plausibility.ins_step_detector import InsStepDetector
+from ship_estimation.plausibility.ins_step_detector import InsStepDetector, LineUpdate
 from ship_estimation.plausibility.integrated_rates import (
     IntegratedAttitude,
     RateConsistencyCheck,
@@ -125,6 +125,7 @@ class RateComparison:
         excess: excess noise of the attitudes.
         drift_updates: number of estimates of the rates' drift.
         sigma_rad: noise of an attitude, the stated noise or, if larger, the measured noise, rad.
+        new_noise: excess noise that is estimated but not returned with a sample yet; None without new noise.
     """
 
     def __init__(self, predictions: InsPredictions, rate_check: RateConsistencyCheck) -> None:
@@ -132,13 +133,12 @@ class RateComparison:
         self.integrator, self.step_detector = RateIntegrator(), InsStepDetector(ARCSEC, 0.0)
         self.excess, self._drift_detector = ExcessNoise(ARCSEC), RateDriftDetector()
         self.drift_updates = 0
-        # Excess noise that is estimated but not returned with a sample yet.
-        self._new_noise: ExtraNoise | None = None
+        self.new_noise: ExtraNoise | None = None
 
     def reconfigure(self, stated_rad: float, rate_sigma_rad_per_s: float) -> None:
         """Set the stated noise of the attitudes, rad, and of the rates, rad/s."""
         self._stated_rad, self._rate_sigma = stated_rad, rate_sigma_rad_per_s
-        self._new_noise = self.excess.reconfigure(stated_rad) or self._new_noise
+        self.new_noise = self.excess.reconfigure(stated_rad) or self.new_noise
         self._set_sigma()
 
     def _set_sigma(self) -> None:
@@ -153,42 +153,50 @@ class RateComparison:
         found = self.excess.found
         return "" if found is None else found.text(self._stated_rad)
 
-    def check(self, sample: AttitudeSample, integrated: IntegratedAttitude, coarseness_rad: float) -> bool | None:
-        """Return the result of :meth:`InsStepDetector.check`, None also without confirmed rates; collect noise samples.
+    def check(
+        self, sample: AttitudeSample, integrated: IntegratedAttitude, coarseness_rad: float, accepts: bool
+    ) -> tuple[bool | None, tuple[InsJump, ...]]:
+        """Check a sample against the line of the accepted samples, and measure the noise.
 
         Args:
             sample: sample with a rate.
             integrated: attitude by integrated rates at the stamp of the sample.
             coarseness_rad: resolution of the attitudes.
+            accepts: True to accept the sample at once if it is on the line.
+
+        Returns:
+            Result of :meth:`InsStepDetector.check`, None also without confirmed rates; and the jump that an accepted
+            sample shows.
         """
-        predictions, on_line = self._predictions, None
+        predictions, detector, is_on_line, update = self._predictions, self.step_detector, None, None
         measured = self._rate_check.status is RateStatus.MEASURED
         if measured:
-            if predictions.reported_step_rad and predictions.reported_step_rad > self.step_detector.smallest_rad:
-                self.step_detector.restart()
-            on_line = self.step_detector.check(sample, integrated, predictions.rate_bound.noise_rad, coarseness_rad)
-            if on_line is False:
+            if predictions.reported_step_rad and predictions.reported_step_rad > detector.smallest_rad:
+                detector.restart()
+            is_on_line = detector.check(sample, integrated, predictions.rate_bound.noise_rad, coarseness_rad)
+            if is_on_line and accepts:
+                update = detector.accept()
+            elif is_on_line is False:
                 self.excess.start_collecting(sample.time_ns, predictions.rate_bound.typical_rad)
         if self.excess.is_collecting:
-            self._new_noise = self.excess.observe(sample, integrated, measured) or self._new_noise
-        return on_line
+            self.new_noise = self.excess.observe(sample, integrated, measured) or self.new_noise
+        return is_on_line, () if update is None else self.apply_update(update, sample)
 
     def accept(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Add the checked sample to the line by which the next samples are checked; return the jump that it shows."""
-        found = self.step_detector.accept()
-        if found is None:
-            return self.drift_jumps(sample)
-        self.excess.start_collecting(sample.time_ns, self._predictions.rate_bound.typical_rad)
-        self._rate_check.restart()
-        moments_ns = sorted({found.first_ns, found.last_ns})
-        return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
+        """Accept a checked sample that is not on the line; return the jump that it shows."""
+        update = self.step_detector.accept()
+        return () if update is None else self.apply_update(update, sample)
 
-    def drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Update drift and noise from the samples on the line; return an unusually large drift as a jump."""
-        sums, self.step_detector.noise = self.step_detector.noise, None
-        if sums is not None:
-            self._new_noise = self.excess.add(sums) or self._new_noise
-        learnt, self.step_detector.line_statistics = self.step_detector.line_statistics, None
+    def apply_update(self, update: LineUpdate, sample: AttitudeSample) -> tuple[InsJump, ...]:
+        """Update drift and noise from the line up to a sample; return a step or an unusually large drift as a jump."""
+        if update.step is not None:
+            self.excess.start_collecting(sample.time_ns, self._predictions.rate_bound.typical_rad)
+            self._rate_check.restart()
+            step, moments_ns = update.step, sorted({update.step.first_ns, update.step.last_ns})
+            return tuple(InsJump(time_ns - 1, step.step_n, step.sigma_rad) for time_ns in moments_ns)
+        if update.noise is not None:
+            self.new_noise = self.excess.add(update.noise) or self.new_noise
+        learnt = update.statistics
         if learnt is None:
             return ()
         self.drift_updates += 1
@@ -199,7 +207,7 @@ class RateComparison:
 
     def with_noise(self, checked: CheckedInsSample) -> CheckedInsSample:
         """Return the result with new excess noise, if any; all checks then use this noise with new statistics."""
-        noise, self._new_noise = self._new_noise, None
+        noise, self.new_noise = self.new_noise, None
         if noise is None:
             return checked
         self._set_sigma()

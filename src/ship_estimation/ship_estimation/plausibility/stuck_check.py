@@ -1,4 +1,4 @@
-"""Check for a frozen source, which repeats one value while other sources show a rotation of the ship.
+"""Check for frozen sources, which repeat one value while other sources show a rotation of the ship.
 
 A frozen sensor repeats one value to the last bit, and so does a healthy sensor with coarse resolution while there is
 little motion. Other sources, the motion references, distinguish the two sensors by the rotation of the ship
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_kernels import compiled_checks
 
@@ -33,8 +34,21 @@ _UNKNOWN_RESOLUTION = np.deg2rad(0.1)
 _STEPS = 64
 """Number of the last changes of the value; the smallest of them is the resolution."""
 
-StuckValue = tuple[FloatArray, float, str]
-"""Value that must not stay constant, the largest standard deviation of its noise, rad, and a text for a rejection."""
+
+class StuckValue(NamedTuple):
+    """Value of a measurement that varies while the ship rotates.
+
+    Attributes:
+        value: an attitude, shape (3, 3), or directions, shape (k, 3) or (3,); empty for an exposure without stars.
+        sigma_rad: largest standard deviation of the noise of the value.
+        description: text for a rejection.
+        is_attitude: True for an attitude relative to the horizon, which is a motion reference for other sources.
+    """
+
+    value: FloatArray
+    sigma_rad: float
+    description: str
+    is_attitude: bool = False
 
 
 def largest_sigma(covariance: FloatArray) -> float:
@@ -180,6 +194,49 @@ class StuckCheck:
         self._steps.extend(filter(math.isfinite, compiled_checks.changes(before, values)))
         if self._steps:
             self._resolution_rad = min(self._steps)
+
+
+class StuckChecks:
+    """Stuck checks of several sources, each by comparison with all others.
+
+    Attributes:
+        motion_references: by source, the last attitude that passed the check or was accepted; used to check other
+            sources.
+    """
+
+    def __init__(self) -> None:
+        self.motion_references: dict[str, MotionReference] = {}
+        self._checks: dict[str, StuckCheck] = {}
+        self._latest_ns: dict[str, int] = {}
+
+    def check(
+        self, source: str, time_ns: int, measured: StuckValue, by_ins: Mapping[str, MotionReference]
+    ) -> Rejection | None:
+        """Return the rejection of a measurement that is constant while other sources rotate; None for any other.
+
+        An attitude that passes becomes a motion reference. A measurement is checked only if it is newer than the last
+        measurement of the same source that passed.
+
+        Args:
+            source: source of the measurement.
+            time_ns: stamp of the measurement.
+            measured: value of the measurement.
+            by_ins: motion references by the INS (:meth:`InsCheck.motion_references`).
+        """
+        if time_ns <= self._latest_ns.get(source, time_ns - 1):
+            return None
+        value, sigma_rad, description, is_attitude = measured
+        # Exposures without stars may repeat, also on a moving ship.
+        if len(value) > 0:
+            references = {name: reference for name, reference in self.motion_references.items() if name != source}
+            if source not in self._checks:
+                self._checks[source] = StuckCheck()
+            if self._checks[source].observe(time_ns, value, sigma_rad, {**references, **by_ins}):
+                return Rejection(Reason.STUCK, f"{description} while other sources rotate")
+            if is_attitude:
+                self.motion_references[source] = MotionReference(time_ns, value, sigma_rad)
+        self._latest_ns[source] = time_ns
+        return None
 
 
 class MotionCheck:

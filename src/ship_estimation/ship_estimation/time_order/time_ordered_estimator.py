@@ -1,4 +1,4 @@
-"""Time-ordered estimator, which applies measurements in the order of their stamps and rejects late and repeated data.
+"""Time-ordered estimator, which applies measurements in the order of their stamps, and the order of its outputs.
 
 An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
 is independent of the kind of measurement. A measurement is processed as follows:
@@ -22,6 +22,10 @@ is independent of the kind of measurement. A measurement is processed as follows
 
 Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
 measurements out of order than :data:`ship_estimation.time_order.time_ordered_log.MOST_OVERTAKEN_PER_S`.
+
+Two clocks are used for the outputs (:class:`OutputSequence`). Outputs are ordered by their stamps, the time of the
+data. Timeouts are measured by the timeout clock, which is monotonic; the node runtime passes the time of this clock
+(``waiting_ns``) with each input and tick. Old stamps, or a correction of the system clock, cause no timeout.
 """
 
 import functools
@@ -35,7 +39,7 @@ from numpy.typing import NDArray
 from ship_estimation.rejection_rules import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_estimation.time_order.outcome import DecisionT, Estimate, Measurement, Outcome
 from ship_estimation.time_order.time_ordered_log import MOST_OVERTAKEN_PER_S, TimeOrderedLog
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import NEVER_NS, SECOND_NS
 from ship_geometry.tracks.sample_track import OrderedSamples
 
 State = TypeVar("State")
@@ -100,7 +104,7 @@ class EstimatorModel(Generic[State, MeasurementT, DecisionT, Jump]):
         inflate: returns the state with the covariance inflated for a jump of a source.
         failure_decision: returns the decision about a measurement for which ``step`` raised an exception.
         until_ns: returns the stamp of the last sample that can change a decision.
-        drop_before: drops the data that no measurement at or after a stamp needs.
+        drop_before: drops the data that no measurement at or after a stamp needs; each stamp is later than the last.
         on_decision: called with each decision, repeated decisions included.
         on_commit: called with the states after committed measurements, in order.
     """
@@ -149,7 +153,7 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
     def reset(self, state: State) -> None:
         """Drop all measurements and start from a state."""
         self.state = state
-        self._has_inflation = False
+        self._has_inflation, self._dropped_until_ns = False, NEVER_NS
         self.window = LagWindow(self._lag_s)
         self.stamp_conflicts.reset()
         self._log: TimeOrderedLog[
@@ -288,7 +292,9 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             closed = self._log.commit_before(closed_ns)
             if self._model.on_commit is not None:
                 self._model.on_commit(closed)
-        self._model.drop_before(closed_ns)
+        if closed_ns > self._dropped_until_ns:
+            self._dropped_until_ns = closed_ns
+            self._model.drop_before(closed_ns)
 
     def _step(
         self, state: State, item: MeasurementT | _CovarianceInflation[Jump]
@@ -314,3 +320,80 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             return self.state
         pending = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
         return functools.reduce(lambda state, item: self._model.inflate(state, item.jump), pending, self.state)
+
+
+class OutputSequence:
+    """The sequence of an estimator's published outputs: their stamps increase, and INVALID follows after a timeout."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Restart the sequence after a clock jump: the next output may have an earlier stamp."""
+        self._last_ns: int | None = None
+        self._timeout_ns: int | None = None
+        self._invalid_reported_ns: int | None = None
+
+    def step_time_base(self, step_ns: int) -> None:
+        """Shift the last stamp, because all clocks were stepped; outputs stay in order."""
+        if self._last_ns is not None:
+            self._last_ns += step_ns
+
+    def continue_from(self, before: "OutputSequence") -> None:
+        """Continue the sequence of another estimator; own outputs so far were not published."""
+        self._last_ns, self._timeout_ns = before._last_ns, before._timeout_ns
+        self._invalid_reported_ns = before._invalid_reported_ns
+
+    def can_publish(self, time_ns: int) -> bool:
+        """True if an output with a stamp may be published, because the stamp is later than all stamps before."""
+        return self._last_ns is None or time_ns > self._last_ns
+
+    def add(
+        self,
+        outcome: Outcome[Any, Estimate],
+        time_ns: int,
+        waiting_ns: int,
+        estimate: Callable[[], Estimate | None],
+        timeout_ns: int = SECOND_NS,
+    ) -> None:
+        """Add the estimate of a stamp to the outcome if the stamp is later than all output stamps before.
+
+        If ``estimate`` raises an exception, a failure is reported; the next estimate is computed as usual.
+
+        Args:
+            outcome: receives the estimate.
+            time_ns: the stamp.
+            waiting_ns: time by the timeout clock.
+            estimate: function that computes the estimate; it may return None.
+            timeout_ns: time without a further output after which INVALID is reported; at least a second.
+        """
+        if not self.can_publish(time_ns):
+            return
+        try:
+            found = estimate()
+        except Exception as error:
+            outcome.failures.append((time_ns, failure_rejection(error)))
+            return
+        if found is not None:
+            outcome.estimates.append(found)
+            self.record(time_ns, waiting_ns, timeout_ns)
+
+    def record(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
+        """Record the stamp and time of a published estimate; arguments as for :meth:`add`."""
+        self._last_ns, self._invalid_reported_ns = time_ns, None
+        self._timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
+
+    def report_invalid(
+        self, outcome: Outcome[Any, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]
+    ) -> None:
+        """Add an INVALID output, at most once a second, if no estimate was published within the timeout or at all.
+
+        The INVALID output has the time of a tick. This output does not count for the order of outputs, so an older
+        valid estimate may follow.
+        """
+        if self._timeout_ns is not None and waiting_ns <= self._timeout_ns:
+            return
+        if self._invalid_reported_ns is not None and waiting_ns - self._invalid_reported_ns < SECOND_NS:
+            return
+        self._invalid_reported_ns = waiting_ns
+        outcome.estimates.append(make_invalid())

@@ -231,18 +231,33 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         if interval is None:
             return None
         left, fraction = interval
-        if fraction == 0.0:
-            sample = self._samples[left]
-            found = InterpolatedAttitude(sample.rotation_nd, self.rate(left), 1.0, sample=sample)
+        first = self._samples[left]
+        second = first if fraction == 0.0 else self._samples[left + 1]
+        if second is first:
+            found = InterpolatedAttitude(first.rotation_nd, self.rate(left), 1.0, sample=first)
+        elif first.rate_d is None or second.rate_d is None:
+            found = self._interpolate_without_rates(left, fraction)
         else:
-            found = self._interpolate(left, fraction)
+            interval_s = (second.time_ns - first.time_ns) / SECOND_NS
+            # The error of the cubic is estimated from its difference to the sample before the interval.
+            before, at_before = first, 0.0
+            if left > 0 and self._are_joined(left - 1):
+                before = self._samples[left - 1]
+                at_before = (before.time_ns - first.time_ns) / SECOND_NS / interval_s
+            rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.interpolate_attitude(
+                first.rotation_nd,
+                second.rotation_nd,
+                before.rotation_nd,
+                first.rate_d,
+                second.rate_d,
+                interval_s,
+                fraction,
+                at_before,
+                NEXT_TERM_SHARE,
+                *_ERROR_BOUNDS,
+            )
+            found = InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
         return self._with_noise(found, time_ns) if self._extra else found
-
-    @property
-    def has_newest_rate(self) -> bool:
-        """True if the newest sample has a measured rate, or a rate by its difference from the sample before."""
-        index = len(self._samples) - 1
-        return self._has_rate(index) or (index > 0 and self._are_joined(index - 1))
 
     def propagate_newest(self, ahead_s: float) -> InterpolatedAttitude:
         """Return the newest attitude, propagated over a short time by its rate and angular acceleration.
@@ -254,8 +269,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             ahead_s: time after the newest sample, s; negative for a time before the sample.
         """
         index = len(self._samples) - 1
-        propagate = self._propagate_by_rates if self._has_rate(index) else self._propagate_by_differences
-        moved = propagate(index, ahead_s)
+        has_rate = self._samples[index].rate_d is not None
+        moved = (self._propagate_by_rates if has_rate else self._propagate_by_differences)(index, ahead_s)
         return self._with_noise(moved, self._times[index]) if self._extra else moved
 
     def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
@@ -312,16 +327,16 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
-        steps_s = [self._seconds(k - 1, k) for k in range(index, index - len(rates) + 1, -1)]
-        of_one = rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
+        steps_s = np.diff(self._times[index + 1 - len(rates) : index + 1])[::-1] / SECOND_NS
+        of_one = rotation_nd[None], np.array([rates]), steps_s[None], np.array([ahead_s])
         (moved_nd,), (rate_d,), (error_d,) = compiled_rotations.propagate_by_rates(*of_one, *_ERROR_BOUNDS)
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Return up to four measured rates, rad/s, newest first, without a gap, jump or missing rate between them."""
         recent: list[FloatArray] = []
-        for sample in reversed(self._samples[max(index + 1 - MAX_RATES, 0) : index + 1]):
-            if sample.rate_d is None or (recent and not self._are_joined(index - len(recent))):
+        for sample in reversed(self._samples[self._joined_from(index, MAX_RATES) : index + 1]):
+            if sample.rate_d is None:
                 break
             recent.append(sample.rate_d)
         return recent
@@ -362,30 +377,6 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     def _has_rate(self, index: int) -> bool:
         return self._samples[index].rate_d is not None
-
-    def _interpolate(self, left: int, fraction: float) -> InterpolatedAttitude:
-        """Interpolate between two samples by a cubic of the rotation vector from the first sample."""
-        first, second = self._samples[left], self._samples[left + 1]
-        if first.rate_d is None or second.rate_d is None:
-            return self._interpolate_without_rates(left, fraction)
-        interval_s = self._seconds(left, left + 1)
-        # The error of the cubic is estimated from its difference to the sample before the interval.
-        before, at_before = first, 0.0
-        if left > 0 and self._are_joined(left - 1):
-            before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
-        rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.interpolate_attitude(
-            first.rotation_nd,
-            second.rotation_nd,
-            before.rotation_nd,
-            first.rate_d,
-            second.rate_d,
-            interval_s,
-            fraction,
-            at_before,
-            NEXT_TERM_SHARE,
-            *_ERROR_BOUNDS,
-        )
-        return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
     def _interpolate_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
         """Interpolate between two samples; the rates and the error of the cubic are from the neighbouring samples."""

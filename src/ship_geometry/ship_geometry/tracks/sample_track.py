@@ -68,6 +68,11 @@ class OrderedSamples(Generic[Sample]):
         return self._samples[-1] if self._samples else None
 
     @property
+    def is_newest_joined(self) -> bool:
+        """True if the newest sample has a predecessor without a gap or a jump between them."""
+        return len(self._samples) > 1 and self._are_joined(len(self._samples) - 2)
+
+    @property
     def times_ns(self) -> tuple[int, ...]:
         """Stamps of all samples in the track in ascending order."""
         return tuple(self._times)
@@ -158,6 +163,13 @@ class OrderedSamples(Generic[Sample]):
     def _are_joined(self, left: int) -> bool:
         start_ns, end_ns = self._times[left], self._times[left + 1]
         return end_ns - start_ns <= self.max_gap_ns and not self._is_cut_between(start_ns, end_ns)
+
+    def _joined_from(self, index: int, count: int) -> int:
+        """Return the index of the first of at most ``count`` samples up to ``index`` without a gap or a jump."""
+        first = index
+        while first > max(index + 1 - count, 0) and self._are_joined(first - 1):
+            first -= 1
+        return first
 
     def _is_cut_between(self, start_ns: int, end_ns: int) -> bool:
         """True if the quantity has jumped between two times."""
@@ -383,9 +395,7 @@ class VectorTrack(SampleTrack[AnyVectorSample]):
         if fraction == 0.0:
             vector = self._samples[left].vector
             return InterpolatedVector(vector, 1.0, np.zeros((vector.size, vector.size)))
-        first = left
-        while first > max(left - 2, 0) and self._are_joined(first - 1):
-            first -= 1
+        first = self._joined_from(left, 3)
         last = left + 2 if left + 2 < len(self._samples) and self._are_joined(left + 1) else left + 1
         around = slice(first, last + 1)
         found = compiled_tracks.interpolate_vector(

@@ -135,7 +135,8 @@ class StarExposure:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return self.directions_s, float(self.sigma.max(initial=0.0)), "stars do not move on the detector"
+        sigma_rad = float(self.sigma.max(initial=0.0))
+        return StuckValue(self.directions_s, sigma_rad, "stars do not move on the detector")
 
     @property
     def is_identified(self) -> NDArray[np.bool_]:

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.rejection_rules import Rejection, StampConflicts
-from ship_estimation.time_order.outcome import OutputSequence, Status
+from ship_estimation.time_order.outcome import Status
+from ship_estimation.time_order.time_ordered_estimator import OutputSequence
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from ship_stars.attitude_from_stars.exposure import StarExposure, visible_stars

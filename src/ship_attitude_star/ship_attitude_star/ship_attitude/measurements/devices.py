@@ -256,7 +256,7 @@ class BaselineMeasurement:
     @property
     def stuck_value(self) -> StuckValue:
         """Value that must not stay constant while the ship rotates."""
-        return self.direction_n, largest_sigma(self.noise_n) / self.length_m, "baseline is constant"
+        return StuckValue(self.direction_n, largest_sigma(self.noise_n) / self.length_m, "baseline is constant")
 
     @property
     def direction_n(self) -> FloatArray:
