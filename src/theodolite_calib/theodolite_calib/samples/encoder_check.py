@@ -234,7 +234,7 @@ class EncoderCheck:
         """Check the latest reading against the prediction from the two readings before it."""
         match = self._match(self._last_accepted, sample)
         step = match if self._last_readings is self._last_accepted else self._match(self._last_readings, sample)
-        fits = match is None or (match.fits if step is None else match.is_consistent_with(step))
+        fits = match is None or (match.fits if step is None or step is match else match.is_consistent_with(step))
         is_after_rejection = self._jump_check.rejected_count > 0
         result = self._jump_check.check(sample.time_ns, fits, step is None or step.fits)
         if result is JumpDecision.REJECTED:
