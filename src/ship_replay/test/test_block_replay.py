@@ -30,7 +30,7 @@ from ship_testing.memory_sink import MemorySink, Published
 from ship_testing.overconfident_filter import make_overconfident
 from ship_testing.trials.fault_voyage import input_topics, make_bag
 from ship_testing.trials.threats import OVERLAPPING, SINGLE, draw_faults
-from theodolite_calib.optical_axis.output import PointingOutput
+from theodolite_calib.optical_axis.pointings import Pointings
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 NAMES = [
@@ -186,13 +186,13 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
 @pytest.mark.slow
 def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
-    compute_pending = PointingOutput.compute_pending
+    compute_pending = Pointings.compute_pending
 
-    def count_calls(self: PointingOutput, pending: Any) -> Any:
-        counts.append(len(pending))
-        return compute_pending(self, pending)
+    def count_pending(self: Pointings) -> Any:
+        counts.append(len(self.pending or []))
+        return compute_pending(self)
 
-    monkeypatch.setattr(PointingOutput, "compute_pending", count_calls)
+    monkeypatch.setattr(Pointings, "compute_pending", count_pending)
     _, summary = replay_faults(suite_bag, Injection(suite_bag, {}, 0), LARGEST_BATCH)
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

@@ -49,8 +49,10 @@ def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.Mon
 
 def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     clean, bad_ns = fault_free_run(), session()[index_at(session(), ENCODER, FAILURE_S)].stamp_ns
-    bad = failing_where(lambda _, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
-    monkeypatch.setattr(PointingOutput, "estimate", bad)
+    bad = failing_where(
+        lambda _, readings: bad_ns in [reading.sample.time_ns for reading in readings], PointingOutput.series
+    )
+    monkeypatch.setattr(PointingOutput, "series", bad)
     run = run_adapter(new_adapter(), session())
     expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]
     assert [stamp_of(m) for m in run.pointings] == expected

@@ -1,8 +1,8 @@
 """Pointing as a function of state, ship and encoders, for one time or many."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from theodolite_calib.samples.samples import (
     Mode,
     PointingEstimate,
 )
-from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import ShipAt
 
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12
@@ -45,47 +45,56 @@ def state_after_beacons(source: str) -> tuple[OpticalAxisConfig, CalibrationFilt
     return settings, filter_, state
 
 
-def readings(source: str, state: CalibrationState) -> tuple[EncoderSeries, ShipSeries]:
+def readings(source: str, state: CalibrationState) -> list[PendingPointing]:
     """Return readings from the state's time until long after the beacons, some of them unconfirmed."""
     rng = np.random.default_rng(5)
     assert state.time_ns is not None
     since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
-    reasons = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
-    encoders = EncoderSeries(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), reasons)
+    sigma_rad = np.sqrt(rng.uniform(1e-12, 1e-10, COUNT))
     # The ship's stated error changes in steps, as after a loss and a return of stars.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
     root = np.diag([1.4, 1.8, 1.4]) + 0.2 * rng.standard_normal((COUNT, 3, 3))
-    stated_n = None if source == "ins/imu" else (ARCSEC * sizes) ** 2 * (root @ root.swapaxes(1, 2))
-    rotation_nd = exp_rotation(rng.standard_normal((COUNT, 3)))
-    ship = ShipSeries(
-        rotation_nd,
-        0.1 * rng.standard_normal((COUNT, 3)),
-        stated_n,
-        rng.uniform(1e-12, 1e-10, COUNT),
-        [Status.VALID, Status.VALID, Status.VALID, Status.DEGRADED] * (COUNT // 4),
-        None if source == "ins/imu" else rotation_nd @ exp_rotation(1e-3 * rng.standard_normal((COUNT, 3))),
-    )
-    return encoders, ship
+    stated_n = (ARCSEC * sizes) ** 2 * (root @ root.swapaxes(1, 2))
+    rotation_nd, rate_d = exp_rotation(rng.standard_normal((COUNT, 3))), 0.1 * rng.standard_normal((COUNT, 3))
+    ship_noise = rng.uniform(1e-12, 1e-10, COUNT)
+    chord_nd = rotation_nd @ exp_rotation(1e-3 * rng.standard_normal((COUNT, 3)))
+    by_ins = source == "ins/imu"
+    return [
+        PendingPointing(
+            EncoderSample(state.time_ns + int(since_ns[k]), angles[k], 0.8 * sigma_rad[k]),
+            ShipAt(
+                rotation_nd[k],
+                rate_d[k],
+                None if by_ins else stated_n[k],
+                ship_noise[k],
+                Status.DEGRADED if k % 4 == 3 else Status.VALID,
+                None if by_ins else chord_nd[k],
+            ),
+            "the encoders stopped during a motion" if k % 3 == 2 else "",
+            0.6 * sigma_rad[k],
+            state,
+        )
+        for k in range(COUNT)
+    ]
 
 
 @pytest.mark.parametrize("source", SOURCES)
 def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
     """The filter propagates the whole state to each time; numpy computes the axis geometry from it."""
     _, filter_, state = state_after_beacons(source)
-    encoders, ship = readings(source, state)
     index, rows = filter_.model.sources.index, axis_state_indices(filter_.model)
-    axes = CorrectedAxis(filter_, state).axes(ship, encoders)
-    for number, time_ns in enumerate(encoders.time_ns.tolist()):
-        stated_n = None if ship.correlated_covariance_n is None else ship.correlated_covariance_n[number]
-        later = filter_.propagate(state, time_ns, stated_n)
+    pending = readings(source, state)
+    axes = CorrectedAxis(filter_, state).axes(pending)
+    for number, (sample, ship, _, unconfirmed_sigma_rad, _) in enumerate(pending):
+        later = filter_.propagate(state, sample.time_ns, ship.correlated_covariance_n)
         errors = filter_.sightings.geometry_errors(later.mean)
-        angles = encoders.angles[number].tolist()
-        geometry = axis_geometry(errors, ship.rotation_nd[number], ship.rate_d[number], *angles)
+        geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, *sample.vector.tolist())
         by_error = geometry.by_error[:, : len(rows)]
         parts_n = by_error @ later.covariance_by_source[:, rows[:, None], rows] @ by_error.T
-        parts_n[index("encoder")] += encoders.variance[number] * geometry.by_encoder @ geometry.by_encoder.T
-        parts_n[index("ship_noise")] += ship.noise[number] * np.eye(3)
+        variance = sample.sigma**2 + unconfirmed_sigma_rad**2
+        parts_n[index("encoder")] += variance * geometry.by_encoder @ geometry.by_encoder.T
+        parts_n[index("ship_noise")] += ship.noise * np.eye(3)
         np.testing.assert_allclose(axes.rotation_nm[number], geometry.rotation_nm, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(axes.by_error_n[number], by_error, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(axes.covariance_by_source_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
@@ -96,16 +105,6 @@ def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     conflict = UnresolvedFault("", (3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
     fault_state = replace(state.fault_state, unresolved_fault=conflict)
     return replace(state, fault_state=fault_state, solution_separation=np.full(len(state.solution_separation), 5.0))
-
-
-def select_reading(encoders: EncoderSeries, ship: ShipSeries, number: int) -> tuple[EncoderSeries, ShipSeries]:
-    """Return one of the readings as a series of its own."""
-    one = slice(number, number + 1)
-    parts = [
-        kind(**{name: None if value is None else value[one] for name, value in vars(run).items()})
-        for kind, run in ((EncoderSeries, encoders), (ShipSeries, ship))
-    ]
-    return parts[0], parts[1]
 
 
 def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> None:
@@ -120,23 +119,22 @@ def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> Non
 def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, is_unresolved: bool) -> None:
     settings, filter_, state = state_after_beacons(source)
     state, output = with_unresolved_fault(state) if is_unresolved else state, PointingOutput(settings, filter_)
-    encoders, ship = readings(source, state)
-    run = output.estimates(encoders, ship, state)
+    pending = readings(source, state)
+    run = output.series(pending)
     assert set(run.mode.tolist()) == {Mode.TWO_LIGHTS, Mode.ENCODER}
     if not is_unresolved:
         assert len(set(run.status)) > 1
         assert len(set(run.text)) > 2
-    for number in range(COUNT):
-        alone = output.estimates(*select_reading(encoders, ship, number), state)
-        assert_same_bits(run.estimate(number), alone.estimate(0))
+    for number, reading in enumerate(pending):
+        assert_same_bits(run.estimate(number), output.estimate(reading))
 
 
 @pytest.mark.parametrize("source", SOURCES)
 def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     settings, filter_, before = state_after_beacons(source)
     state = with_unresolved_fault(before)
-    encoders, ship = readings(source, state)
-    run = PointingOutput(settings, filter_).estimates(encoders, ship, state)
+    pending = readings(source, state)
+    run = PointingOutput(settings, filter_).series(pending)
     recent = run.mode == Mode.TWO_LIGHTS
     assert np.isfinite(run.rotation_nt).all(axis=(1, 2)).tolist() == recent.tolist()
     parallelism = rotation_from_angles(*filter_.sightings.parallelism(state.mean))
@@ -145,10 +143,11 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     np.testing.assert_allclose(run.covariance_by_source_n.sum(axis=1), run.covariance_n, rtol=1e-12)
     more = np.trace(run.covariance_n - run.covariance_without_separation_n, axis1=1, axis2=2)
     assert (more > 0.0).tolist() == recent.tolist()
-    if ship.chord_nd is None:
+    if source == "ins/imu":
         assert np.isnan(run.rotation_dm).all()
     else:
-        np.testing.assert_allclose(ship.chord_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)
+        chords_nd = np.array([reading.ship.chord_nd for reading in pending])
+        np.testing.assert_allclose(chords_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)
 
 
 def test_pending_pointings_equal_those_computed_at_once_and_one_that_fails_fails_alone(
@@ -156,31 +155,22 @@ def test_pending_pointings_equal_those_computed_at_once_and_one_that_fails_fails
 ) -> None:
     settings, filter_, state = state_after_beacons("ins/imu")
     later, output = replace(state, consecutive_rejections=1), PointingOutput(settings, filter_)
-    encoders, ship = readings("ins/imu", state)
-    pending = [
-        PendingPointing(
-            EncoderSample(int(encoders.time_ns[number]), encoders.angles[number], 1e-5),
-            ShipAt(ship.rotation_nd[number], ship.rate_d[number], None, ship.noise[number], ship.status[number]),
-            encoders.unconfirmed_reasons[number],
-            1e-6,
-            state if number < 5 else later,
-        )
-        for number in range(9)
-    ]
+    pending = readings("ins/imu", state)[:9]
+    pending[5:] = [reading._replace(state=later) for reading in pending[5:]]
     runs = output.compute_pending(pending)
     assert [some for some, _ in runs] == [slice(0, 5), slice(5, 9)]
     for some, run in runs:
         assert isinstance(run, PointingSeries)
         for number, one in enumerate(pending[some]):
             assert_same_bits(run.estimate(number), output.estimate(one))
-    estimates, odd_ns = output.estimates, pending[6].time_ns
+    series, odd = output.series, pending[6]
 
-    def failing(encoders: EncoderSeries, *rest: Any) -> PointingSeries:
-        if odd_ns in encoders.time_ns:
+    def failing(given: Sequence[PendingPointing]) -> PointingSeries:
+        if any(reading is odd for reading in given):
             raise ValueError("no number")
-        return estimates(encoders, *rest)
+        return series(given)
 
-    monkeypatch.setattr(output, "estimates", failing)
+    monkeypatch.setattr(output, "series", failing)
     found = output.compute_pending(pending)
     assert [some for some, _ in found] == [slice(0, 5), *(slice(number, number + 1) for number in range(5, 9))]
     assert [isinstance(run, PointingSeries) for _, run in found] == [True, True, False, True, True]

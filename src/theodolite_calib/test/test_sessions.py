@@ -13,10 +13,9 @@ from ship_testing.simulated_session import BEACONS_DEG, Session, config, session
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.optical_axis.output import CorrectedAxis
-from theodolite_calib.samples.samples import Exposure
+from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
+from theodolite_calib.samples.samples import EncoderSample, Exposure
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.tracks import EncoderSeries, ShipSeries
 
 SEEDS = 16
 SWEEP_S = np.arange(0.0, 301.0)
@@ -59,9 +58,9 @@ class AxisAt:
 
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
     """Return the main axis of a state at the time of a sighting; ``noise`` is the variance of the encoders, rad²."""
-    angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
-    reading = EncoderSeries(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
-    axes = CorrectedAxis(filter_, state).axes(ShipSeries.from_ships([sighting.ship]), reading)
+    angles = np.array([sighting.encoder.azimuth, sighting.encoder.elevation])
+    reading = EncoderSample(sighting.time_ns, angles, float(np.sqrt(noise)))
+    axes = CorrectedAxis(filter_, state).axes([PendingPointing(reading, sighting.ship, "", 0.0, state)])
     return AxisAt(axes.rotation_nm[0], axes.covariance_by_source_n[0])
 
 

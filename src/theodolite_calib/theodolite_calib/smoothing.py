@@ -35,7 +35,7 @@ from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
 from theodolite_calib.samples.encoder_check import EncoderJump
 from theodolite_calib.samples.samples import EncoderSample, PointingEstimate
 from theodolite_calib.samples.sighting import Sighting
-from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import ShipAt
 
 _MAX_BATCH = 1000
 """Maximum number of pointings that are smoothed together."""
@@ -195,8 +195,8 @@ class SmoothingAxisCore(OpticalAxisCore):
         if pending is not None and not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
             inputs = pending.sample, pending.ship
             if pending.ship.correlated_covariance_n is not None:
-                self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
-            self._smoother.request_time(pending.time_ns)
+                self._stated_n[estimate.time_ns] = pending.ship.correlated_covariance_n
+            self._smoother.request_time(estimate.time_ns)
         self._pending.append(_RealTimePointing(_copy_without_state(estimate), inputs))
 
     def _new_predictor(self) -> "AxisStatePredictor":
@@ -246,7 +246,7 @@ class _SmoothedOutput:
             ship_covariance_n=ship.correlated_covariance_n,
         )
         corrected = CorrectedAxis(self._filter, state)
-        axes = corrected.axes(ShipSeries.from_ships([ship]), EncoderSeries.from_samples([sample], [""], [0.0]))
+        axes = corrected.axes([PendingPointing(sample, ship, "", 0.0, state)])
         (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.covariance_by_source_n
         covariance_without_separation_n = parts_n.sum(axis=0)
         return replace(

@@ -14,6 +14,7 @@ from ship_estimation.integrity.protection_levels import IntegrityReport
 from ship_estimation.recovery.recoverable_core import RecoverableCore, with_shifted_stamps
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_stars.attitude_from_stars.exposure import StarExposure
 from ship_stars.attitude_samples import SkyInput
 from ship_stars.sky.sky_model import SkyModel
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvisor
 
 _REPEATED_TIME_TEXT = "encoders and ship both sent different data with equal stamps: a clock has repeated this time"
+
+_DROP_EVERY_NS = SECOND_NS // 10
+"""Interval at which old samples are dropped, ns."""
 
 
 class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
@@ -119,6 +123,7 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
 
     def _start_without_samples(self) -> None:
         """Discard all samples, waiting readings and images, and the states of the stream checks."""
+        self._dropped_until_ns = -_DROP_EVERY_NS
         self.streams.reset()
         self.pointings.reset()
         self._build_steps()
@@ -255,6 +260,9 @@ class OpticalAxisCore(RecoverableCore[CalibrationState, StreamJump]):
         self.streams.record_decision(decision)
 
     def _drop_before(self, time_ns: int) -> None:
-        self.streams.tracks.drop_before(time_ns)
+        """Drop the data that no exposure at or after ``time_ns`` needs; samples are dropped in intervals."""
+        if time_ns >= self._dropped_until_ns + _DROP_EVERY_NS:
+            self._dropped_until_ns = time_ns
+            self.streams.tracks.drop_before(time_ns)
         if self.sky_model is not None:
             self.sky_model.surroundings.drop_before(time_ns)

@@ -40,7 +40,7 @@ from theodolite_calib.filter.model import (
 )
 from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.samples.samples import EncoderSample, Mode, PointingEstimate
-from theodolite_calib.samples.tracks import EncoderSeries, ShipAt, ShipSeries
+from theodolite_calib.samples.tracks import ShipAt
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 """Quantities bounded by the protection levels."""
@@ -105,6 +105,29 @@ class PointingLevels:
         )
 
 
+class PendingPointing(NamedTuple):
+    """Encoder reading with the ship's attitude at its time: the inputs of a pointing.
+
+    Attributes:
+        sample: the reading.
+        ship: ship's attitude at the time of the reading.
+        unconfirmed_reason: reason why encoders or ship's attitude are unconfirmed; empty if both are confirmed.
+        unconfirmed_sigma_rad: additional standard deviation of each angle while unconfirmed, rad.
+        state: state of the filter after the last applied exposure.
+    """
+
+    sample: EncoderSample
+    ship: ShipAt
+    unconfirmed_reason: str
+    unconfirmed_sigma_rad: float
+    state: CalibrationState
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp of the reading."""
+        return self.sample.time_ns
+
+
 class AxesAt(NamedTuple):
     """Main axis at N times.
 
@@ -113,11 +136,15 @@ class AxesAt(NamedTuple):
         by_error_n: derivative of the main axis' rotation vector in n with respect to ``AXIS_STATES``, shape (N, 3, k).
         covariance_by_source_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N,
             n_sources, 3, 3).
+        time_ns: the times in ascending order, shape (N,).
+        rotation_dm: as in :class:`PointingEstimate`, shape (N, 3, 3).
     """
 
     rotation_nm: FloatArray
     by_error_n: FloatArray
     covariance_by_source_n: FloatArray
+    time_ns: StampArray
+    rotation_dm: FloatArray
 
 
 class CorrectedAxis:
@@ -133,10 +160,12 @@ class CorrectedAxis:
         state: state of the filter after the last sighting.
         rotation_mt: main frame from telescope, shape (3, 3).
         separation_inflation: covariance added to the propagated states by the solution separations, shape (k, k).
+        statuses: status and reason of pointings from this state, by mode and status of the ship's attitude.
     """
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
         self.state = state
+        self.statuses: dict[tuple[int, Status], tuple[Status, str]] = {}
         model, rows = filter_.model, axis_state_indices(filter_.model)
         ship, deformation = model.blocks["ship.attitude"], model.blocks["deformation"]
         self._parts = np.ascontiguousarray(state.covariance_by_source[:, rows[:, None], rows])
@@ -156,28 +185,27 @@ class CorrectedAxis:
             (state.subfilters.mean - state.mean)[:, rows], state.solution_separation
         )
 
-    def axes(self, ship: ShipSeries, encoders: EncoderSeries) -> AxesAt:
+    def axes(self, readings: Sequence[PendingPointing]) -> AxesAt:
         """Return the main axis at N readings; for readings before the state's time, the state is not propagated.
 
-        The result depends only on the arguments and the state. A reading alone and a reading of a series give equal
+        The result depends only on the arguments and the state. A reading alone and a reading among others give equal
         results to the last bit.
 
         Args:
-            ship: ship's attitude at the readings.
-            encoders: the readings.
+            readings: readings in ascending order, all with a stated covariance of the ship's attitude, or all without.
         """
-        since_ns = np.zeros(len(encoders.time_ns), dtype=np.int64)
-        if self.state.time_ns is not None:
-            since_ns = encoders.time_ns - self.state.time_ns
-        stated_n = ship.correlated_covariance_n
-        step = None if stated_n is None else ship_error_steps(self.state.ship_covariance_n, stated_n)
-        arrays = compiled_pointing.pointings(
+        samples, ships = [one.sample for one in readings], [one.ship for one in readings]
+        time_ns = np.array([sample.time_ns for sample in samples])
+        since_ns = np.zeros_like(time_ns) if self.state.time_ns is None else time_ns - self.state.time_ns
+        stated_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
+        step = ship_error_steps(self.state.ship_covariance_n, np.array(stated_n)) if stated_n else None
+        rotation_nm, by_error_n, covariance_by_source_n = compiled_pointing.pointings(
             since_ns,
-            ship.rotation_nd,
-            ship.rate_d,
-            ship.noise,
-            encoders.angles,
-            encoders.variance,
+            np.array([ship.rotation_nd for ship in ships]),
+            np.array([ship.rate_d for ship in ships]),
+            np.array([ship.noise for ship in ships]),
+            np.array([sample.vector for sample in samples]),
+            np.array([one.sample.sigma**2 + one.unconfirmed_sigma_rad**2 for one in readings]),
             *(_NO_STEP if step is None else (step.retained, step.added_n)),
             self._errors,
             self._exceeds_model,
@@ -186,7 +214,12 @@ class CorrectedAxis:
             self._parts,
             *self._sources,
         )
-        return AxesAt(*arrays)
+        chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
+        if chords_nd:
+            rotation_dm = np.array(chords_nd).swapaxes(1, 2) @ rotation_nm
+        else:
+            rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
+        return AxesAt(rotation_nm, by_error_n, covariance_by_source_n, time_ns, rotation_dm)
 
 
 @dataclass(frozen=True)
@@ -234,29 +267,6 @@ class PointingSeries:
         )
 
 
-class PendingPointing(NamedTuple):
-    """Inputs of the pointing at an encoder reading.
-
-    Attributes:
-        sample: the reading.
-        ship: ship's attitude at the time of the reading.
-        unconfirmed_reason: reason why encoders or ship's attitude are unconfirmed; empty if both are confirmed.
-        unconfirmed_sigma_rad: additional standard deviation of each angle while unconfirmed, rad.
-        state: state of the filter after the last applied exposure.
-    """
-
-    sample: EncoderSample
-    ship: ShipAt
-    unconfirmed_reason: str
-    unconfirmed_sigma_rad: float
-    state: CalibrationState
-
-    @property
-    def time_ns(self) -> int:
-        """Stamp of the reading."""
-        return self.sample.time_ns
-
-
 class PointingOutput:
     """Computes pointings from states of a filter; each pointing depends only on the arguments of the call.
 
@@ -289,36 +299,24 @@ class PointingOutput:
 
     def _series_or_failure(self, pending: Sequence[PendingPointing]) -> PointingSeries | Rejection:
         try:
-            return self._series_of(pending)
+            return self.series(pending)
         except Exception as error:
             return failure_rejection(error)
 
     def estimate(self, pending: PendingPointing) -> PointingEstimate:
         """Return the pointing at one reading."""
-        return self._series_of([pending]).estimate(0)
+        return self.series([pending]).estimate(0)
 
-    def _series_of(self, pending: Sequence[PendingPointing]) -> PointingSeries:
-        samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*pending, strict=True)
-        return self.estimates(
-            EncoderSeries.from_samples(samples, unconfirmed_reasons, unconfirmed_sigmas_rad),
-            ShipSeries.from_ships(ships),
-            states[0],
-        )
-
-    def estimates(self, encoders: EncoderSeries, ship: ShipSeries, state: CalibrationState) -> PointingSeries:
-        """Return the pointings at N readings; see :meth:`CorrectedAxis.axes` for single readings.
-
-        Args:
-            encoders: the readings.
-            ship: ship's attitude at the readings.
-            state: state after the last exposure applied before the readings.
-        """
+    def series(self, readings: Sequence[PendingPointing]) -> PointingSeries:
+        """Return the pointings at N readings from one state; for the readings see :meth:`CorrectedAxis.axes`."""
+        state = readings[0].state
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
-        time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
+        axes = self._corrected.axes(readings)
         if state.fault_state.unresolved_fault is not None:
             axes.covariance_by_source_n[:, self._disagreement_source] += state.fault_state.unresolved_fault.covariance_n
-        lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
+        lights = self._is_recent(axes.time_ns, state.last_beacons_ns)
+        stars = self._is_recent(axes.time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         covariance_without_separation_n, covariance_n = compiled_pointing.totals(
@@ -330,15 +328,11 @@ class PointingOutput:
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
-        statuses = self._pointing_statuses(state, mode.tolist(), ship.status, encoders.unconfirmed_reasons)
+        statuses = self._pointing_statuses(self._corrected, mode.tolist(), readings)
         rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
         rotation_nt[~lights] = np.nan
-        if ship.chord_nd is None:
-            rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
-        else:
-            rotation_dm = ship.chord_nd.swapaxes(1, 2) @ axes.rotation_nm
         series = PointingSeries(
-            time_ns=time_ns,
+            time_ns=axes.time_ns,
             rotation_nm=axes.rotation_nm,
             covariance_by_source_n=axes.covariance_by_source_n,
             covariance_n=covariance_n,
@@ -350,7 +344,7 @@ class PointingOutput:
             state=state,
             text=[text for _, text in statuses],
             by_error_n=axes.by_error_n,
-            rotation_dm=rotation_dm,
+            rotation_dm=axes.rotation_dm,
         )
         if self._config.integrity.alert_limit_arcsec:
             self._degrade_above_limit(series)
@@ -378,24 +372,23 @@ class PointingOutput:
                     series.status[number], series.text[number] = Status.DEGRADED, text
 
     def _pointing_statuses(
-        self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
+        self, corrected: CorrectedAxis, modes: list[int], readings: Sequence[PendingPointing]
     ) -> list[tuple[Status, str]]:
         """Return status and reason of each pointing; the reason of a VALID pointing is empty."""
-        known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
         statuses = []
-        for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
-            status = known.get(kind)
+        for mode, one in zip(modes, readings, strict=True):
+            if one.unconfirmed_reason:
+                statuses.append((Status.DEGRADED, one.unconfirmed_reason))
+                continue
+            kind = mode, one.ship.status
+            status = corrected.statuses.get(kind)
             if status is None:
-                status = known[kind] = self._pointing_status(state, *kind)
+                status = corrected.statuses[kind] = self._confirmed_status(corrected.state, *kind)
             statuses.append(status)
         return statuses
 
-    def _pointing_status(
-        self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str
-    ) -> tuple[Status, str]:
-        """Return status and reason of a pointing; the reason of a VALID pointing is empty."""
-        if unconfirmed_reason:
-            return Status.DEGRADED, unconfirmed_reason
+    def _confirmed_status(self, state: CalibrationState, mode: int, ship_status: Status) -> tuple[Status, str]:
+        """Return status and reason of a pointing from confirmed data; the reason of a VALID pointing is empty."""
         if state.consecutive_rejections:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.rejection_text

@@ -5,10 +5,8 @@ least three stars must be identified and consistent with one another, because th
 The main axis follows from the estimated parallelism: R_main = R_camera · R(azimuth, elevation, roll).
 """
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -95,14 +93,6 @@ def pointing_by_stars(
     )
 
 
-class _WaitingReading(NamedTuple):
-    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty for a confirmed reading."""
-
-    sample: EncoderSample
-    unconfirmed_reason: str
-    unconfirmed_sigma_rad: float
-
-
 class Pointings:
     """Published pointings, and the directions of targets.
 
@@ -142,12 +132,11 @@ class Pointings:
         self.reset()
 
     def reset(self) -> None:
-        """Discard waiting readings and images, after a reset of the streams."""
+        """Discard waiting images and stars, after a reset of the streams."""
         self.target_conflicts.reset()
         self._targets = TargetProcessor(
             self._config, self.filter, self.output, self._streams.tracks, self.target_conflicts
         )
-        self._waiting_readings: deque[_WaitingReading] = deque()
         self._newest_stars: tuple[StarExposure, int] | None = None
 
     def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
@@ -176,10 +165,6 @@ class Pointings:
         """
         arrival_ns, outcome = sample.time_ns if arrival_ns is None else arrival_ns, PointingOutcome()
         if self._streams.add_encoder(sample, arrival_ns, outcome):
-            check = self._streams.encoder_check
-            self._waiting_readings.append(
-                _WaitingReading(sample, check.unconfirmed_reason, check.unconfirmed_sigma_rad)
-            )
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -218,43 +203,40 @@ class Pointings:
         self._publish_targets(outcome, waiting_ns)
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """Publish the pointings of waiting readings, and then directions of targets.
+        """Publish or queue the pointings of the readings with an attitude, and then publish directions of targets.
 
-        A reading waits until the ship's attitude at its time is final or overdue. A reading without an attitude is
-        skipped.
+        A reading before a published pointing, which can only be from stars, is skipped.
         """
-        covered_ns, too_old_ns = self._streams.ship_final_until_ns, self._estimator.window.oldest_ns - 1
-        until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
-        while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
-            sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting_readings.popleft()
-            unconfirmed_reason = unconfirmed_reason or self._streams.unconfirmed_reason(sample.time_ns)
-            ship = self._streams.tracks.ship_at(sample.time_ns)
-            if ship is not None:
-                pending = PendingPointing(
-                    sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now
-                )
-                self._add_pointing(outcome, pending, waiting_ns)
+        ready = self._streams.take_ready_readings()
+        published = [reading for reading in ready if self.sequence.can_publish(reading.sample.time_ns)]
+        if published and self.pending is not None:
+            self.pending += published
+        elif published:
+            published = self._add_estimates(outcome, published)
+        if published:
+            self.sequence.record(published[-1].sample.time_ns, waiting_ns)
+            self._targets.record_outputs(published, self._estimator.window.oldest_ns)
         self._publish_targets(outcome)
 
-    def _publish_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
-        self._targets.publish_ready(
-            outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now
-        )
+    def _add_estimates(self, outcome: PointingOutcome, readings: list[PendingPointing]) -> list[PendingPointing]:
+        """Add the pointings of readings to the outcome; return the readings without those whose computation failed."""
+        computed = []
+        for part, series in self.output.compute_pending(readings):
+            if isinstance(series, Rejection):
+                outcome.failures += [(reading.sample.time_ns, series) for reading in readings[part]]
+                continue
+            for number, reading in enumerate(readings[part]):
+                outcome.estimates.append(series.estimate(number))
+                computed.append(reading)
+                if self._on_pointing is not None:
+                    self._on_pointing(outcome.estimates[-1], reading)
+        return computed
 
-    def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
-        """Publish or queue a pointing; skip the pointing if a later output has been published."""
-        if not self.sequence.can_publish(pending.time_ns):
-            return
-        if self.pending is not None:
-            self.pending.append(pending)
-            self.sequence.record(pending.time_ns, waiting_ns)
-        else:
-            self.sequence.add(outcome, pending.time_ns, waiting_ns, lambda: self.output.estimate(pending))
-            if self.sequence.can_publish(pending.time_ns):
-                return
-            if self._on_pointing is not None:
-                self._on_pointing(outcome.estimates[-1], pending)
-        self._targets.record_output(pending, self._estimator.window.oldest_ns)
+    def _publish_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
+        if self._targets.pending.waiting:
+            self._targets.publish_ready(
+                outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now
+            )
 
     def _publish_from_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""

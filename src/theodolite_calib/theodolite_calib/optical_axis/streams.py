@@ -7,7 +7,7 @@ with ``ship/attitude``. With the INS alone the rates have no other use, because 
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,13 +18,14 @@ from ship_estimation.plausibility.ins_check import InsCheck
 from ship_estimation.recovery.recoverable_core import MAX_JUMPS
 from ship_estimation.rejection_rules import Reason, Rejection, resolve_same_stamp
 from ship_estimation.time_order.time_ordered_estimator import TimeOrderedEstimator
-from ship_geometry.earth.time_scales import SECOND_NS
+from ship_geometry.earth.time_scales import NEVER_NS, SECOND_NS
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.tracks.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.tracks.sample_track import OrderedSamples
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationState, Jump
 from theodolite_calib.filter.subfilters import ENCODER, SHIP, TELESCOPE
+from theodolite_calib.optical_axis.output import PendingPointing
 from theodolite_calib.samples.encoder_check import CheckedReading, EncoderCheck, EncoderJump
 from theodolite_calib.samples.samples import (
     AnyExposure,
@@ -60,6 +61,9 @@ class ShipCheck:
     Args:
         config: parameters of the node.
         shift_ns: offset of the time of validity from the stamps, ns.
+
+    Attributes:
+        unconfirmed_step: last step of the attitude that beacons have not confirmed; None without such a step.
     """
 
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
@@ -69,7 +73,7 @@ class ShipCheck:
         # Accepted samples with their rates, for the check of samples that come out of order.
         self._accepted = AttitudeTrack(round(check_config.max_gap_s * SECOND_NS))
         self._stated_covariance_n: FloatArray | None = None
-        self._unconfirmed: UnconfirmedStep | None = None
+        self.unconfirmed_step: UnconfirmedStep | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply a changed noise."""
@@ -77,7 +81,6 @@ class ShipCheck:
 
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; later samples will not be older than ``oldest_ns``."""
-        self._accepted.drop_before(oldest_ns)
         stated_n, before_n, reported_step_rad = sample.correlated_covariance_n, self._stated_covariance_n, 0.0
         if stated_n is not None and before_n is not None:
             reported_step_rad = _STATED_STEP_SIGMAS * math.sqrt(abs(float((stated_n - before_n).trace())))
@@ -86,23 +89,24 @@ class ShipCheck:
             self._accepted.drop_rates(result.rates_wrong_after_ns)
         if result.jumps:
             since_ns = result.jumps[-1].time_ns + self._shift_ns
-            self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
+            self.unconfirmed_step = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
         if result.rejection is None:
             if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
                 self._stated_covariance_n = stated_n
             known = self._accepted.get(sample.time_ns)
             if known is None or resolve_same_stamp(known, result.sample)[0]:
                 self._accepted.insert(result.sample)
+            self._accepted.drop_before(oldest_ns)
         return result
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the attitude at a time."""
-        if self._unconfirmed is not None:
-            self._unconfirmed = self._unconfirmed.with_confirmation(time_ns)
+        if self.unconfirmed_step is not None:
+            self.unconfirmed_step = self.unconfirmed_step.with_confirmation(time_ns)
 
     def unconfirmed_reason(self, time_ns: int) -> str:
         """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
-        step = self._unconfirmed
+        step = self.unconfirmed_step
         return step.text if step is not None and time_ns > step.since_ns else ""
 
 
@@ -126,8 +130,16 @@ class StreamJump:
         return float(np.trace(self.jump.covariance_n)) * np.eye(2)
 
 
+class _WaitingReading(NamedTuple):
+    """Encoder reading that waits for the ship's attitude; ``unconfirmed_reason`` is empty for a confirmed reading."""
+
+    sample: EncoderSample
+    unconfirmed_reason: str
+    unconfirmed_sigma_rad: float
+
+
 class MeasuredStreams:
-    """Streams of samples that give the axis between exposures.
+    """Streams of samples that give the axis between exposures, and the encoder readings that wait for an attitude.
 
     Args:
         config: parameters of the node.
@@ -139,7 +151,6 @@ class MeasuredStreams:
         encoder_check: check of the encoders.
         ship_check: check of the ship's attitude.
         jumps: jumps that the encoder and ship streams have shown, and that were not yet read.
-        ship_final_until_ns: time until which the ship's attitude is final; None before the first attitude.
     """
 
     def __init__(self, config: OpticalAxisConfig, estimator: AxisEstimator) -> None:
@@ -154,7 +165,8 @@ class MeasuredStreams:
         self.encoder_check = EncoderCheck(*_encoder_limits(self._config))
         self.ship_check = ShipCheck(self._config, self.tracks.ship_shift_ns)
         self.jumps.clear()
-        self.ship_final_until_ns: int | None = None
+        self._waiting_readings: deque[_WaitingReading] = deque()
+        self._newest_encoder_ns = self._ship_final_until_ns = NEVER_NS
         self._encoder_arrival_ns: int | None = None
         self._ship_arrival_ns: int | None = None
         self._repeated_time_ns: tuple[int, int] | None = None
@@ -170,13 +182,13 @@ class MeasuredStreams:
         self.ship_check.reconfigure(config)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int, outcome: PointingOutcome) -> bool:
-        """Add an encoder reading; return True if it is accepted and the newest."""
-        track, estimator = self.tracks.encoder, self._estimator
+        """Add an encoder reading, which waits for the ship's attitude; return True if it is accepted and the newest."""
+        track, estimator, is_newest = self.tracks.encoder, self._estimator, sample.time_ns > self._newest_encoder_ns
         result = self.encoder_check.check(sample, track, estimator.window.late_rejection(sample.time_ns))
         outcome.rejection = result.rejection
         self._record_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
         self._record_encoder_jump(sample.time_ns, result)
-        if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
+        if result.jump is not None and is_newest:
             estimator.add_jump(result.jump.time_ns, ENCODER, result.jump, track.add_cut(result.jump.time_ns))
         if result.rejection is not None:
             estimator.add_rejected(ENCODER, track, sample)
@@ -186,8 +198,12 @@ class MeasuredStreams:
         if outcome.rejection is not None:
             self._record_fault(ENCODER, sample.time_ns, outcome.rejection)
             self._check_repeated_time()
-        elif track.newest is sample:
-            self._encoder_arrival_ns = arrival_ns
+        elif is_newest:
+            self._newest_encoder_ns, self._encoder_arrival_ns = sample.time_ns, arrival_ns
+            check = self.encoder_check
+            self._waiting_readings.append(
+                _WaitingReading(sample, check.unconfirmed_reason, check.unconfirmed_sigma_rad)
+            )
             return True
         return False
 
@@ -200,11 +216,30 @@ class MeasuredStreams:
         if outcome.rejection is not None:
             self._estimator.add_rejected(source, track, sample)
         elif self._estimator.add_sample(source, track, sample, outcome):
-            self.ship_final_until_ns = self.tracks.ship_final_until_ns
-            self._ship_arrival_ns = arrival_ns
+            until_ns, self._ship_arrival_ns = track.final_until_ns, arrival_ns
+            self._ship_final_until_ns = NEVER_NS if until_ns is None else until_ns + self.tracks.ship_shift_ns
         if outcome.rejection is not None:
             self._record_fault(SHIP, sample.time_ns, outcome.rejection)
             self._check_repeated_time()
+
+    def take_ready_readings(self) -> list[PendingPointing]:
+        """Remove the waiting readings for which the ship's attitude is final or overdue; return those with an attitude.
+
+        The readings are in the order of their stamps.
+        """
+        until_ns = max(self._ship_final_until_ns, self._estimator.window.oldest_ns - 1)
+        if not (self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns):
+            return []
+        state, ready = self._estimator.state_now, []
+        is_ship_confirmed = not (self.ship_check.unconfirmed_step or self._estimator.stamp_conflicts)
+        while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
+            sample, reason, sigma_rad = self._waiting_readings.popleft()
+            ship = self.tracks.ship_at(sample.time_ns)
+            if ship is not None:
+                if not (reason or is_ship_confirmed):
+                    reason = self.unconfirmed_reason(sample.time_ns)
+                ready.append(PendingPointing(sample, ship, reason, sigma_rad, state))
+        return ready
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """Add a baseline to a drone.

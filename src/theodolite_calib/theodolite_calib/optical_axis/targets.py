@@ -8,7 +8,7 @@ and the pointing at the middle. Images with conflicting stamps also make the dir
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -44,44 +44,44 @@ class PendingTargets:
 
     Args:
         stamp_conflicts: stamp conflicts of the source of the images.
+
+    Attributes:
+        waiting: pending images, each with its time of reception, by stamp and target.
     """
 
     def __init__(self, stamp_conflicts: StampConflicts) -> None:
-        self._waiting: dict[_Key, tuple[TargetSample, int]] = {}
+        self.waiting: dict[_Key, tuple[TargetSample, int]] = {}
         self._answered: dict[_Key, TargetSample] = {}
         self._order: deque[_Key] = deque()
         self._stamp_conflicts = stamp_conflicts
 
-    def __len__(self) -> int:
-        return len(self._waiting)
-
     def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
         """Add an image; return the rejection of this or the replaced image, None if the stamp is new for the target."""
         key = sample.time_ns, sample.target_id
-        waits = self._waiting.get(key)
+        waits = self.waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
         if known is not None:
             takes_its_place, rejection = resolve_same_stamp(known, sample)
             self._stamp_conflicts.record(sample.source, sample.time_ns, rejection)
             if takes_its_place and waits is not None:
-                self._waiting[key] = sample, waits[1]
+                self.waiting[key] = sample, waits[1]
             return rejection
-        self._waiting[key] = sample, waiting_ns
+        self.waiting[key] = sample, waiting_ns
         return None
 
     def remove_overflow(self) -> list[TargetSample]:
         """Remove and return the oldest images if too many are pending."""
-        keys = sorted(self._waiting)[: max(len(self._waiting) - MAX_WAITING, 0)]
-        return [self._waiting.pop(key)[0] for key in keys]
+        keys = sorted(self.waiting)[: max(len(self.waiting) - MAX_WAITING, 0)]
+        return [self.waiting.pop(key)[0] for key in keys]
 
     def pending_images(self) -> list[tuple[TargetSample, int]]:
         """Return the pending images in the order of their stamps, each with its time of reception."""
-        return [self._waiting[key] for key in sorted(self._waiting)]
+        return [self.waiting[key] for key in sorted(self.waiting)]
 
     def mark_answered(self, sample: TargetSample) -> None:
         """Mark an image as answered."""
         key = sample.time_ns, sample.target_id
-        del self._waiting[key]
+        del self.waiting[key]
         self._answered[key] = sample
         self._order.append(key)
         if len(self._order) > _MAX_ANSWERED:
@@ -104,6 +104,9 @@ class TargetProcessor:
         pointing: computes the pointings.
         tracks: tracks of the measured samples.
         stamp_conflicts: stamp conflicts of the source of the images.
+
+    Attributes:
+        pending: pending images.
     """
 
     def __init__(
@@ -114,7 +117,7 @@ class TargetProcessor:
         tracks: MeasuredTracks,
         stamp_conflicts: StampConflicts,
     ) -> None:
-        self._pending = PendingTargets(stamp_conflicts)
+        self.pending = PendingTargets(stamp_conflicts)
         self._published: deque[PendingPointing] = deque()
         self._tracks = tracks
         self.reconfigure(config, filter_, pointing)
@@ -127,20 +130,20 @@ class TargetProcessor:
 
     def take_over(self, before: "TargetProcessor") -> None:
         """Take over the images and pointings of the processor ``before``, whose estimator ends."""
-        self._pending, self._published = before._pending, before._published
+        self.pending, self._published = before.pending, before._published
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
         """Add an image that is not late; if too many images wait, the oldest is rejected."""
-        outcome.rejection = self._pending.add(sample, waiting_ns)
-        for overflowing in self._pending.remove_overflow():
+        outcome.rejection = self.pending.add(sample, waiting_ns)
+        for overflowing in self.pending.remove_overflow():
             text = "too many images of targets wait for the pointing: the oldest is rejected"
             outcome.decisions.append(_rejection(overflowing, Rejection(Reason.OVERFLOW, text)))
 
-    def record_output(self, pointing: PendingPointing, oldest_ns: int) -> None:
-        """Record a published pointing; later images are not older than ``oldest_ns``."""
-        self._published.append(pointing)
+    def record_outputs(self, pointings: Sequence[PendingPointing], oldest_ns: int) -> None:
+        """Record published pointings; later images are not older than ``oldest_ns``."""
+        self._published.extend(pointings)
         # The last pointing up to ``oldest_ns`` stays, because the oldest possible image needs this pointing.
-        while len(self._published) > 1 and self._published[1].time_ns <= oldest_ns:
+        while len(self._published) > 1 and self._published[1].sample.time_ns <= oldest_ns:
             self._published.popleft()
 
     def publish_ready(
@@ -155,18 +158,16 @@ class TargetProcessor:
             oldest_ns: time before which data can no longer come.
             state: returns the current state of the filter, for outputs.
         """
-        if not len(self._pending):
-            return
         max_wait_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
-        for sample, received_ns in self._pending.pending_images():
+        for sample, received_ns in self.pending.pending_images():
             is_overdue = waiting_ns is not None and waiting_ns - received_ns > max_wait_ns
             if is_overdue or sample.time_ns < oldest_ns or self._is_covered(sample):
-                self._pending.mark_answered(sample)
+                self.pending.mark_answered(sample)
                 self._publish_direction(sample, outcome, state())
 
     def _is_covered(self, sample: TargetSample) -> bool:
         """True if later data cannot change the direction, and a pointing after the image has been published."""
-        if not (self._published and self._published[-1].time_ns >= sample.time_ns):
+        if not (self._published and self._published[-1].sample.time_ns >= sample.time_ns):
             return False
         return self._tracks.are_axes_final_at(sample.time_ns + sample.reach_ns)
 
@@ -213,18 +214,18 @@ class TargetProcessor:
             [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, adjacent))],
             key=lambda worth: worth[0],
         )
-        conflict_text = self._pending.conflict_text(sample.time_ns)
+        conflict_text = self.pending.conflict_text(sample.time_ns)
         if conflict_text and status is not Status.DEGRADED:
             status, text = Status.DEGRADED, conflict_text
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
     def _adjacent_pointings(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
         """Return the last published pointing up to a time and the first from then on; None if there is a gap."""
-        before = [due for due in self._published if due.time_ns <= time_ns]
-        after = [due for due in self._published if due.time_ns >= time_ns]
+        before = [due for due in self._published if due.sample.time_ns <= time_ns]
+        after = [due for due in self._published if due.sample.time_ns >= time_ns]
         if not (before and after):
             return None
-        gap_ns = after[0].time_ns - before[-1].time_ns
+        gap_ns = after[0].sample.time_ns - before[-1].sample.time_ns
         return (before[-1], after[0]) if gap_ns <= self._tracks.encoder.max_gap_ns else None
 
 

@@ -11,7 +11,6 @@ step may therefore be missed, but gusts are not reported as a step.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +18,7 @@ import numpy as np
 
 from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
-from ship_geometry.earth.time_scales import SECOND_NS, StampArray
+from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.mount.axes import AxisErrors, main_axis_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.tracks.attitude_track import AttitudeTrack
@@ -48,8 +47,6 @@ _LEAD_IN_NS = SECOND_NS
 """Time before the checked range from which samples are used too, ns."""
 _DRIFT_WINDOW_NS = 60 * SECOND_NS
 """Time range in which the ship's attitude is compared with its rates, ns."""
-_DROP_EVERY_NS = SECOND_NS // 10
-"""Interval at which old samples are dropped, ns."""
 
 
 @dataclass(frozen=True)
@@ -158,32 +155,6 @@ class ShipAt:
 
 
 @dataclass(frozen=True)
-class ShipSeries:
-    """Ship's attitude at N times; the fields have the meaning of :class:`ShipAt`, with a leading axis of N."""
-
-    rotation_nd: FloatArray
-    rate_d: FloatArray
-    correlated_covariance_n: FloatArray | None
-    noise: FloatArray
-    status: list[Status]
-    chord_nd: FloatArray | None
-
-    @classmethod
-    def from_ships(cls, ships: Sequence[ShipAt]) -> "ShipSeries":
-        """Return the series of attitudes from one source, which all have a stated covariance, or all have none."""
-        slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
-        chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
-        return cls(
-            rotation_nd=np.array([ship.rotation_nd for ship in ships]),
-            rate_d=np.array([ship.rate_d for ship in ships]),
-            correlated_covariance_n=np.array(slow_n) if slow_n else None,
-            noise=np.array([ship.noise for ship in ships]),
-            status=[ship.status for ship in ships],
-            chord_nd=np.array(chords_nd) if chords_nd else None,
-        )
-
-
-@dataclass(frozen=True)
 class EncoderAt:
     """Encoders at one time.
 
@@ -196,43 +167,6 @@ class EncoderAt:
     azimuth: float
     elevation: float
     noise: float
-
-
-@dataclass(frozen=True)
-class EncoderSeries:
-    """N encoder readings with the result of their check.
-
-    Attributes:
-        time_ns: stamps in ascending order, shape (N,).
-        angles: azimuth and elevation, rad, shape (N, 2).
-        variance: variance of each angle due to noise and unconfirmed steps, rad², shape (N,).
-        unconfirmed_reasons: reason why each reading is unconfirmed; empty if it is confirmed.
-    """
-
-    time_ns: StampArray
-    angles: FloatArray
-    variance: FloatArray
-    unconfirmed_reasons: list[str]
-
-    @classmethod
-    def from_samples(
-        cls,
-        samples: Sequence[EncoderSample],
-        unconfirmed_reasons: Sequence[str],
-        unconfirmed_sigmas_rad: Sequence[float],
-    ) -> "EncoderSeries":
-        """Return the series of some readings.
-
-        ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle.
-        """
-        variances = [
-            sample.sigma**2 + unconfirmed_sigma_rad**2
-            for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)
-        ]
-        times_ns = np.array([sample.time_ns for sample in samples])
-        return cls(
-            times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons)
-        )
 
 
 @dataclass(frozen=True)
@@ -279,7 +213,6 @@ class MeasuredTracks:
             id_: AttitudeTrack(_to_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
         self.encoder.history_ns, self.ship.history_ns = _STREAM_WINDOW_NS + _LEAD_IN_NS, _DRIFT_WINDOW_NS
-        self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
@@ -291,12 +224,9 @@ class MeasuredTracks:
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
-        """Drop the samples that no exposure at or after ``time_ns`` needs; skipped if the last call is recent."""
-        if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
-            return
-        self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
+        """Drop the samples that no exposure at or after ``time_ns`` needs."""
         for track in self._all:
-            track.drop_before(keep_from_ns)
+            track.drop_before(time_ns - abs(self.ship_shift_ns))
 
     def is_waiting_for_data(self, exposure: AnyExposure) -> bool:
         """True if data at the time of an exposure may still come."""
@@ -312,12 +242,6 @@ class MeasuredTracks:
     def are_axes_final_at(self, time_ns: int) -> bool:
         """True if later data, received in order, can no longer change encoders and ship at a time."""
         return self.encoder.is_final_at(time_ns) and self.ship.is_final_at(time_ns - self.ship_shift_ns)
-
-    @property
-    def ship_final_until_ns(self) -> int | None:
-        """Latest time at which later samples can no longer change the ship's attitude; None without such a time."""
-        until_ns = self.ship.final_until_ns
-        return None if until_ns is None else until_ns + self.ship_shift_ns
 
     def ship_at(self, time_ns: int, nodes: Nodes | None = None) -> ShipAt | None:
         """Return the ship's attitude at a time; None in a gap.
