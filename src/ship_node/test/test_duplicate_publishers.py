@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from ship_estimation.plausibility.interleaved import WINDOW
 from ship_geometry.rotations import exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
-from ship_node.health.duplicate_publishers import ATTITUDE, DuplicatePublishers
+from ship_node.health.duplicate_publishers import ATTITUDE, WINDOW, DuplicatePublishers
 
 NAMES = "two publishers send on ins/imu: /a and /b; stop all but one"
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.plausibility.interleaved import WINDOW, InterleavedStreams
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_geometry.tracks.attitude_track import AttitudeSample
+from ship_node.health.duplicate_publishers import WINDOW, InterleavedStreams
 from ship_testing.ins_streams import CALM, STORM, SWELL, stream
 
 LEAST = 40.0 * ARCSEC
