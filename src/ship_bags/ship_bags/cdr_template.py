@@ -1,15 +1,16 @@
-"""Messages as CDR bytes without message objects: a template for each layout of a type, and a reader by templates.
+"""Messages as CDR bytes without message objects: a template for each layout of a type, and the encoder of messages.
 
 If the texts of a message and the lengths of its sequences are known, every number has a known offset. A
 :class:`CdrTemplate` computes these offsets once, from the definition; then all numbers are packed and read at once. A
 message with other texts or lengths has another template. The encoding is plain CDR (XCDR1), little endian.
 
-:class:`CdrReader` reads the messages of a topic that differ only in numbers.
-:class:`ship_bags.message_factory.MessageFactory` encodes messages by templates.
+:class:`CdrEncoder` encodes messages by templates. :class:`ship_bags.cdr_reader.CdrReader` reads the messages of a topic
+that differ only in numbers.
 """
 
+import abc
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -19,6 +20,8 @@ HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little endian. Numbers are aligned relative to its end."""
 
 TEXT = "string"
+STAMP = "builtin_interfaces/msg/Time"
+NS_PER_S = 1_000_000_000
 _LENGTH_BYTES = 4
 
 
@@ -131,11 +134,11 @@ class CdrTemplate:
         self._arguments = walk.arguments
         self._pack = struct.Struct("<" + "".join(walk.codes)).pack
 
-    def pack(self, numbers: list[Any]) -> bytes:
-        """Return the bytes of a message from all its numbers in order of the definition; the list is changed."""
+    def message_of(self, numbers: list[Any]) -> CdrMessage:
+        """Return the message of all its numbers in order of the definition; the list is changed."""
         for place, constant in self._arguments:
             numbers.insert(place, constant)
-        return self._pack(*numbers)
+        return self.message(self._pack(*numbers))
 
     def encode_many(self, columns: Sequence[Any], count: int) -> np.ndarray:
         """Return the bytes of many messages, shape (count, size), uint8.
@@ -253,7 +256,8 @@ class _LayoutBuilder:
 
     def _element(self, element: str, name: str) -> _Reader:
         if len(element) == 1:
-            return self._number(element, name)
+            offset, unpack = self._add_numbers(element, name, 1), struct.Struct("<" + element).unpack_from
+            return lambda data: unpack(data, offset)[0]
         if element == TEXT:
             text = str(self._variable(FieldType(TEXT), self._aligned_offset(_LENGTH_BYTES)))
             content = text.encode() + b"\x00"
@@ -262,11 +266,6 @@ class _LayoutBuilder:
         readers = list(self.message(element, name + ".").items())
         # Code that reads one component of a vector usually reads all components.
         return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
-
-    def _number(self, code: str, name: str) -> _Reader:
-        offset = self._add_numbers(code, name, 1)
-        unpack = struct.Struct("<" + code).unpack_from
-        return lambda data: unpack(data, offset)[0]
 
     def _numbers(self, code: str, name: str, count: int) -> _Reader:
         if count == 0:
@@ -318,51 +317,133 @@ def _variable_at(data: bytes, field: FieldType, offset: int) -> Variable:
     return data[start : end - 1].decode()
 
 
-class CdrReader:
-    """Reads the messages of a topic by templates, one for each message length.
+class CdrEncoder(abc.ABC):
+    """Encoder of messages from plain values, without message objects; layouts are determined once.
+
+    The values of a message are split into its numbers, which are packed, and its texts and sequence lengths, which
+    select the template.
+    """
+
+    _MAX_TEMPLATES = 1000
+    """Maximum number of cached layouts, so that changing texts do not fill the memory."""
+
+    def __init__(self) -> None:
+        self._steps: dict[tuple[str, bool], _Step] = {}
+        self._templates: dict[tuple[Variable, ...], CdrTemplate] = {}
+
+    @abc.abstractmethod
+    def definition(self, type_name: str) -> Definition:
+        """Return the fields of a type, in order.
+
+        Raises:
+            TypeError: a field has a type without template.
+        """
+
+    def encode(self, type_name: str, **fields: Any) -> CdrMessage:
+        """Return an encoded message from plain values; every field must be given by keyword.
+
+        Args:
+            type_name: name of the type, as ``"ship_msgs/msg/ShipAttitude"``.
+            fields: numbers, texts, 1-D numpy arrays for arrays of numbers, lists of texts, dicts of fields for nested
+                messages. A stamp is given as integer ns of POSIX UTC.
+
+        Raises:
+            TypeError: a field is missing, unknown or of a type without template, or an array has the wrong length.
+        """
+        numbers: list[Any] = []
+        return self._split(type_name, fields, numbers, many=False).message_of(numbers)
+
+    def encode_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
+        """Return ``count`` encoded messages from the fields of :meth:`encode`.
+
+        Texts and lengths of sequences are the same in all messages. A number or a stamp is given as an array with one
+        value per message. An array of n numbers is given with shape (n, count). A value that is the same in all
+        messages may be given once.
+
+        Raises:
+            TypeError: as for :meth:`encode`.
+        """
+        columns: list[Any] = []
+        template = self._split(type_name, fields, columns, many=True)
+        return CdrRows(template, template.encode_many(columns, count))
+
+    def _split(self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool) -> CdrTemplate:
+        """Append the numbers of one or many messages to ``numbers``, and return the template of the messages."""
+        add = self._steps.get((type_name, many))
+        if add is None:
+            add = self._steps[type_name, many] = _message_step(type_name, self.definition, many)
+        variables: list[Variable] = []
+        add(fields, numbers, variables)
+        layout = (type_name, *variables)
+        if layout not in self._templates:
+            if len(self._templates) >= self._MAX_TEMPLATES:
+                self._templates.clear()
+            self._templates[layout] = CdrTemplate(type_name, self.definition, tuple(variables))
+        return self._templates[layout]
+
+
+_Step = Callable[[Any, list[Any], list[Variable]], None]
+"""Function that appends a value's numbers, and the texts and lengths that determine the layout."""
+
+
+def _message_step(type_name: str, definitions: Definitions, many: bool) -> _Step:
+    """Return the function that splits the fields of a message.
 
     Args:
         type_name: the type.
         definitions: returns the definition of this type, or of a type that it refers to.
+        many: True if the numbers are columns for many messages with the same texts.
     """
+    steps = {name: _field_step(field, definitions, many) for name, field in definitions(type_name).items()}
 
-    _MAX_TEMPLATES = 16
-    """Maximum number of message lengths with a template, so that changing texts do not fill the memory."""
+    def add(fields: Mapping[str, Any], numbers: list[Any], variables: list[Variable]) -> None:
+        if fields.keys() != steps.keys():
+            raise field_error(type_name, steps.keys(), fields.keys())
+        for name, step in steps.items():
+            if step is None:
+                numbers.append(fields[name])
+            else:
+                step(fields[name], numbers, variables)
 
-    def __init__(self, type_name: str, definitions: Definitions) -> None:
-        self._type_name = type_name
-        self._definitions = definitions
-        self._is_fixed = _is_fixed(type_name, definitions)
-        self._templates: dict[int, CdrTemplate] = {}
-
-    def message(self, data: bytes) -> CdrMessage | None:
-        """Return the message; None if no template fits.
-
-        A template does not fit if the encapsulation differs, the message is damaged, or its texts differ from those in
-        the first message of the same length. Types with sequences have no template, because their layout changes from
-        message to message.
-        """
-        template = self._templates.get(len(data)) or self._add_template(data)
-        return template.message(data) if template is not None and template.matches(data) else None
-
-    def _add_template(self, data: bytes) -> CdrTemplate | None:
-        """Return a template for all messages of a length, made from the first such message."""
-        if not self._is_fixed or len(self._templates) >= self._MAX_TEMPLATES:
-            return None
-        try:
-            template = CdrTemplate.of_message(self._type_name, self._definitions, data)
-        except ValueError:
-            return None
-        self._templates[len(data)] = template
-        return template
+    return add
 
 
-def _is_fixed(type_name: str, definitions: Definitions) -> bool:
-    """True if messages of a type differ only in numbers and texts, and all their fields have templates."""
-    try:
-        fields = definitions(type_name).values()
-    except TypeError:
-        return False
-    return not any(
-        field.is_sequence or ("/" in field.element and not _is_fixed(field.element, definitions)) for field in fields
-    )
+def _field_step(field: FieldType, definitions: Definitions, many: bool) -> _Step | None:
+    """Return the function that splits a field; None if the field is one number."""
+    add_element = _element_step(field.element, definitions, many)
+    if field.length is None and not field.is_sequence:
+        return add_element
+
+    def add_all(values: Any, numbers: list[Any], variables: list[Variable]) -> None:
+        if field.is_sequence:
+            variables.append(len(values))
+        elif len(values) != field.length:
+            raise TypeError(f"{len(values)} elements: expected {field.length}")
+        if add_element is None and many:
+            # An array of n numbers is one column of width n.
+            numbers.append(np.transpose(values))
+        elif add_element is None:
+            numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)
+        elif field.element == TEXT:
+            variables.extend(values)
+        else:
+            for value in values:
+                add_element(value, numbers, variables)
+
+    return add_all
+
+
+def _element_step(element: str, definitions: Definitions, many: bool) -> _Step | None:
+    if len(element) == 1:
+        return None
+    if element == TEXT:
+        return lambda text, _numbers, variables: variables.append(text)
+    if element == STAMP:
+        return lambda time_ns, numbers, _variables: numbers.extend(divmod(time_ns, NS_PER_S))
+    return _message_step(element, definitions, many)
+
+
+def field_error(type_name: str, expected: Set[str], given: Set[str]) -> TypeError:
+    """Return the exception about missing and unknown fields of a message."""
+    missing, unknown = sorted(expected - given), sorted(given - expected)
+    return TypeError(f"{type_name}: missing fields {missing}, unknown fields {unknown}")

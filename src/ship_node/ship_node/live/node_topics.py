@@ -28,7 +28,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from ship_bags.cdr_template import CdrReader
+from ship_bags.cdr_reader import CdrReader
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_node.adapters.adapter import Adapter
