@@ -34,6 +34,7 @@ from ship_node.messages.inputs_outputs import ReadBlock
 SIGMA_MISMATCH_RATIO = 1.5
 """Ratio of the sigma stated by an INS to the configured sigma, above which the stated sigma is reported."""
 
+_NO_RATES = np.empty((0, 3))
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _MAX_LENGTH_M = 1e5
 
@@ -69,11 +70,11 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
     check_frame(message.header.frame_id, config.frame_id)
     quaternion = imu_quaternion(message, config.accept_unset_covariance)
     covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
-    (rotation_nd,) = _rotations_nd(quaternion[None], config)
-    rate_d = None
-    if message.angular_velocity_covariance[0] != NOT_GIVEN:
-        (rate_d,) = _rates_d(ship_rate(message.angular_velocity)[None], config)
-    return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
+    rate_given = message.angular_velocity_covariance[0] != NOT_GIVEN
+    rates_ros = ship_rate(message.angular_velocity)[None] if rate_given else _NO_RATES
+    rotations_nd, rates_d = _of_deck(quaternion[None], rates_ros, config)
+    sample = AttitudeSample(time_ns, rotations_nd[0], rates_d[0] if rate_given else None)
+    return ReadMessage(sample, covariance is not None)
 
 
 def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBlock:
@@ -102,21 +103,23 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     rate_given = numbers["angular_velocity_covariance"][:, 0] != NOT_GIVEN
     valid = timely & of_norm_1 & of_ship & same_covariance & rate_given
     count = len(valid) if valid.all() else int(np.argmin(valid))
-    rotations_nd = _rotations_nd(quaternions[:count], config)
-    samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
+    samples = SampleBlock(times_ns[:count], *_of_deck(quaternions[:count], rates_ros[:count], config))
     return ReadBlock(samples, covariance is not None)
 
 
-def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Convert quaternions of the INS, shape (N, 4), to rotations deck → horizon, shape (N, 3, 3)."""
+def _of_deck(
+    quaternions: FloatArray, rates_ros: FloatArray, config: InsInputConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Return rotations deck → horizon, shape (N, 3, 3), and angular rates in the deck frame, rad/s, shape (M, 3).
+
+    Args:
+        quaternions: attitudes of the INS, x, y, z, w, shape (N, 4).
+        rates_ros: angular rates in the axes of the message, rad/s, shape (M, 3).
+        config: configuration of the INS.
+    """
     rotations: FloatArray = rotation_from_quaternion(quaternions, config.convention) @ config.rotation_di.T
-    return rotations
-
-
-def _rates_d(rates_ros: FloatArray, config: InsInputConfig) -> FloatArray:
-    """Convert angular rates from the axes of the message to the deck frame, rad/s, shape (N, 3)."""
     rates: FloatArray = (config.rotation_di @ device_vector_from_ros(rates_ros, config.convention)[..., None])[..., 0]
-    return rates
+    return rotations, rates
 
 
 class Antennas(Protocol):
