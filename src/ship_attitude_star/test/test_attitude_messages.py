@@ -6,7 +6,7 @@ from ship_attitude_star.messages.attitude_messages import AttitudeNumbers, attit
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.rotations import exp_rotation
-from ship_stars.attitude_samples import AttitudeEstimate, AttitudeSeries, Horizon
+from ship_stars.attitude_samples import AttitudeEstimate, Horizon
 
 RATE_SIGMA = 2e-5
 KINDS = [
@@ -47,7 +47,7 @@ def attitudes(count: int = 40) -> list[AttitudeEstimate]:
 
 def test_rows_are_the_messages_of_each_attitude_in_their_order() -> None:
     factory = RosbagsFactory()
-    numbers = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(attitude) for attitude in attitudes()])
+    numbers = AttitudeNumbers.from_runs([AttitudeNumbers.from_estimate(attitude) for attitude in attitudes()])
     found: list[list[tuple[str, bytes]]] = [[] for _ in attitudes()]
     for rows in attitude_rows(factory, numbers, RATE_SIGMA):
         for number, place in enumerate(rows.places.tolist()):

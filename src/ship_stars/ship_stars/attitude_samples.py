@@ -301,24 +301,6 @@ class AttitudeSeries:
     state: Any = field(repr=False)
     text: list[str]
 
-    @classmethod
-    def from_estimate(cls, estimate: AttitudeEstimate) -> "AttitudeSeries":
-        """Return a series with one attitude."""
-        return cls(
-            time_ns=np.array([estimate.time_ns]),
-            rotation_nd=estimate.rotation_nd[None],
-            covariance_by_source_n=estimate.covariance_by_source_n[None],
-            covariance_n=estimate.covariance_n[None],
-            covariance_without_separation_n=estimate.covariance_without_separation_n[None],
-            rate_d=estimate.rate_d[None],
-            status=[estimate.status],
-            horizon=np.array([estimate.horizon]),
-            sources=[estimate.sources],
-            star_age_s=np.array([estimate.star_age_s]),
-            state=estimate.state,
-            text=[estimate.text],
-        )
-
     def subset(self, indices: slice) -> "AttitudeSeries":
         """Return a slice of the series."""
         return AttitudeSeries(**self._fields_at(indices))

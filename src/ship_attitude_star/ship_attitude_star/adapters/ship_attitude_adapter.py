@@ -162,8 +162,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def _attitude_messages(self, estimate: AttitudeEstimate) -> list[OutputMessage]:
         """Return the messages of one attitude."""
-        messages = attitude_messages(self.factory, estimate, self._rate_sigma, self.config.frames)
-        return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
+        config = self.config
+        return attitude_messages(self.factory, estimate, self._rate_sigma, config.frames, config.publish_tf)
 
     @property
     def _rate_sigma(self) -> float:
@@ -225,8 +225,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
         """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
-        rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
-        return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
+        attitudes, config = AttitudeNumbers.from_runs(runs), self.config
+        return attitude_rows(self.factory, attitudes, self._rate_sigma, config.frames, config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return alignment and sensor frames; for a new attitude also error budget, sigmas and deflection."""

@@ -5,7 +5,7 @@ numbers for the attitudes of a block, which are serialised together.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,12 +36,10 @@ from ship_node.messages.common_messages import (
     ZERO_VECTOR,
     Fields,
     MessageFields,
-    column_numbers,
     error_budget_message,
     join_fields,
     rows_by_kind,
     select_values,
-    single_numbers,
 )
 from ship_node.messages.field_checks import NOT_GIVEN
 from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
@@ -74,6 +72,20 @@ class AttitudeNumbers(NamedTuple):
         """Return the quantities of several series, one after another."""
         return cls(*join_fields(series, cls._fields))
 
+    @classmethod
+    def from_estimate(cls, estimate: AttitudeEstimate) -> "AttitudeNumbers":
+        """Return the quantities of one attitude."""
+        return cls(
+            time_ns=np.array([estimate.time_ns]),
+            rotation_nd=estimate.rotation_nd[None],
+            covariance_n=estimate.covariance_n[None],
+            rate_d=estimate.rate_d[None],
+            status=[estimate.status],
+            horizon=np.array([estimate.horizon]),
+            sources=[estimate.sources],
+            star_age_s=np.array([estimate.star_age_s]),
+        )
+
     def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
         """Return the attitudes with the given indices."""
         if len(indices) == len(self.time_ns):
@@ -82,7 +94,11 @@ class AttitudeNumbers(NamedTuple):
 
 
 def attitude_messages(
-    factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float, frames: FrameNames = FRAME_NAMES
+    factory: MessageFactory,
+    estimate: AttitudeEstimate,
+    rate_sigma: float,
+    frames: FrameNames = FRAME_NAMES,
+    publish_tf: bool = True,
 ) -> list[OutputMessage]:
     """Return the messages of one attitude.
 
@@ -93,95 +109,97 @@ def attitude_messages(
         estimate: the attitude.
         rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
         frames: frame names.
+        publish_tf: False to omit the message on /tf.
     """
-    attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
-    messages = _messages(attitude, single_numbers, rate_sigma, frames)
+    messages = _messages(AttitudeNumbers.from_estimate(estimate), True, rate_sigma, frames, publish_tf)
     return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> OutputMessage:
     """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
-    attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
-    _, type_name, fields = next(_messages(attitude, single_numbers, 0.0, frames))
+    (_, type_name, fields), *_ = _messages(AttitudeNumbers.from_estimate(estimate), True, 0.0, frames, False)
     return SMOOTHED_TOPIC, factory.encode(type_name, **fields)
 
 
 def attitude_rows(
-    factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
+    factory: MessageFactory,
+    attitudes: AttitudeNumbers,
+    rate_sigma: float,
+    frames: FrameNames = FRAME_NAMES,
+    publish_tf: bool = True,
 ) -> Iterator[OutputRows]:
     """Yield the messages of N attitudes, for each attitude in the order of :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda _, places: _messages(attitudes.subset(places), column_numbers, rate_sigma, frames)
+        factory, kinds, lambda _, places: _messages(attitudes.subset(places), False, rate_sigma, frames, publish_tf)
     )
 
 
 def _messages(
-    attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float, frames: FrameNames
+    attitudes: AttitudeNumbers, is_single: bool, rate_sigma: float, frames: FrameNames, publish_tf: bool
 ) -> MessageFields:
-    """Yield topic, type and fields of each message, for attitudes of equal validity and sources.
+    """Return topic, type and fields of each message, for attitudes of equal validity and sources.
 
-    The attitudes either all have a rate or all have none.
+    The attitudes either all have a rate or all have none. The fields are the numbers of the only attitude if
+    ``is_single``, otherwise columns with one value for each attitude.
     """
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
-    rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)
-    time_ns, status, horizon, star_age_s = values_of(
-        attitudes.time_ns, np.array(attitudes.status), attitudes.horizon, attitudes.star_age_s
-    )
-    (heading, pitch, roll), degrees, quaternion, rates, covariance, rotation_covariance, arcsec_95 = values_of(
+    arrays = (
+        attitudes.time_ns,
+        np.array(attitudes.status),
+        attitudes.horizon,
+        attitudes.star_age_s,
         of_angles,
         np.rad2deg(of_angles),
-        rotations,
+        quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T),
         flu_from_device_vector(attitudes.rate_d),
         covariances.reshape(-1, 9),
         enu_covariance(attitudes.covariance_n).reshape(-1, 9),
         NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)),
     )
+    values: list[Any] = [each[0].tolist() if is_single else each.T for each in arrays]
+    time_ns, status, horizon, star_age_s, (heading, pitch, roll), degrees = values[:6]
+    quaternion, rates, covariance, rotation_covariance, arcsec_95 = values[6:]
     header = {"stamp": time_ns, "frame_id": frames.deck}
     orientation, rate = dict(zip("xyzw", quaternion, strict=True)), dict(zip("xyz", rates, strict=True))
+    attitude = {
+        "header": header,
+        "heading": heading,
+        "pitch": pitch,
+        "roll": roll,
+        "covariance": covariance,
+        "orientation": orientation,
+        "rotation_covariance": rotation_covariance,
+        "angular_velocity": rate,
+        "status": status,
+        "horizon": horizon,
+        "sources": attitudes.sources[0],
+        "star_age_s": star_age_s,
+    }
+    in_degrees = {
+        "header": header,
+        **dict(zip(("heading_deg", "pitch_deg", "roll_deg"), degrees, strict=True)),
+        **dict(zip(("heading_95_arcsec", "pitch_95_arcsec", "roll_95_arcsec"), arcsec_95, strict=True)),
+        "status": status,
+    }
     is_claimed = attitudes.status[0] is not Status.INVALID
-    yield (
-        ATTITUDE_TOPIC,
-        ATTITUDE_TYPE,
-        {
-            "header": header,
-            "heading": heading,
-            "pitch": pitch,
-            "roll": roll,
-            "covariance": covariance,
-            "orientation": orientation,
-            "rotation_covariance": rotation_covariance,
-            "angular_velocity": rate,
-            "status": status,
-            "horizon": horizon,
-            "sources": attitudes.sources[0],
-            "star_age_s": star_age_s,
-        },
-    )
+    messages: MessageFields = [(ATTITUDE_TOPIC, ATTITUDE_TYPE, attitude)]
     if is_claimed:
-        rate_known = bool(np.isfinite(attitudes.rate_d[0]).all())
-        given_rate = rate if rate_known else None
-        yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, given_rate, rate_sigma)
-    yield (
-        DEGREES_TOPIC,
-        DEGREES_TYPE,
-        {
-            "header": header,
-            **dict(zip(("heading_deg", "pitch_deg", "roll_deg"), degrees, strict=True)),
-            **dict(zip(("heading_95_arcsec", "pitch_95_arcsec", "roll_95_arcsec"), arcsec_95, strict=True)),
-            "status": status,
-        },
-    )
-    if is_claimed:
+        given_rate = rate if np.isfinite(attitudes.rate_d[0]).all() else None
+        imu = _as_imu(header, orientation, rotation_covariance, given_rate, rate_sigma)
+        messages.append((IMU_TOPIC, IMU_TYPE, imu))
+    messages.append((DEGREES_TOPIC, DEGREES_TYPE, in_degrees))
+    if is_claimed and publish_tf:
         deck = {
             "header": {"stamp": time_ns, "frame_id": frames.horizon},
             "child_frame_id": frames.deck,
             "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
         }
-        yield TF_TOPIC, TF_TYPE, {"transforms": [deck]}
+        messages.append((TF_TOPIC, TF_TYPE, {"transforms": [deck]}))
+    return messages
 
 
 def _as_imu(

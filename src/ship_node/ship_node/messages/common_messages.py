@@ -39,7 +39,7 @@ _NOTHING = np.empty(0)
 _count = struct.Struct("<I").pack
 
 Fields = Mapping[str, Any]
-MessageFields = Iterator[tuple[str, str, Fields]]
+MessageFields = list[tuple[str, str, Fields]]
 """Topic, type and fields of each message."""
 
 
@@ -287,16 +287,6 @@ def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
 def select_values(values: Any, places: NDArray[np.int64]) -> Any:
     """Return the values of an array or a list at some indices."""
     return [values[place] for place in places] if isinstance(values, list) else values[places]
-
-
-def single_numbers(*arrays: Any) -> list[Any]:
-    """Return the numbers of the only output in each array; the first axis of an array counts outputs."""
-    return [values[0].tolist() for values in arrays]
-
-
-def column_numbers(*arrays: Any) -> list[Any]:
-    """Return each array, whose first axis counts outputs, transposed: one column for each number of an output."""
-    return [values.T for values in arrays]
 
 
 def rows_by_kind(

@@ -153,8 +153,8 @@ class OpticalAxisAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _pointing_messages(self, estimate: PointingEstimate) -> list[OutputMessage]:
-        messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
-        return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
+        config = self.config
+        return pointing_messages(self.factory, self._lever, estimate, config.frames, config.publish_tf)
 
     def _calibration(self) -> Calibration:
         """Return the calibration of the present estimator."""
@@ -238,8 +238,8 @@ class OpticalAxisAdapter(RecoveringAdapter):
 
     def batch_messages(self, series: Sequence[PointingSeries]) -> Iterator[OutputRows]:
         """See :class:`ship_node.adapters.node_adapter.NodeAdapter`."""
-        rows = pointing_rows(self.factory, self._lever, PointingNumbers.from_series(series), self.config.frames)
-        return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
+        pointings, config = PointingNumbers.from_series(series), self.config
+        return pointing_rows(self.factory, self._lever, pointings, config.frames, config.publish_tf)
 
     def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
         """Return ship_msgs/Innovation of a beacon or star rejected within its exposure.

@@ -31,12 +31,10 @@ from ship_node.messages.common_messages import (
     ZERO_VECTOR,
     Fields,
     MessageFields,
-    column_numbers,
     error_budget_message,
     join_fields,
     rows_by_kind,
     select_values,
-    single_numbers,
 )
 from ship_node.messages.inputs_outputs import OutputMessage, OutputRows
 from theodolite_calib.samples.samples import PointingEstimate, TargetEstimate
@@ -92,7 +90,11 @@ class PointingNumbers(NamedTuple):
 
 
 def pointing_messages(
-    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate, frames: FrameNames = FRAME_NAMES
+    factory: MessageFactory,
+    lever: Mapping[str, float],
+    estimate: PointingEstimate,
+    frames: FrameNames = FRAME_NAMES,
+    publish_tf: bool = True,
 ) -> list[OutputMessage]:
     """Return the messages of one pointing.
 
@@ -103,81 +105,95 @@ def pointing_messages(
         lever: position of the theodolite in the deck, x forward, y left, z up, m.
         estimate: the pointing.
         frames: names of the frames of deck and horizon.
+        publish_tf: False to omit the message on /tf.
     """
     pointing, in_deck = PointingNumbers.from_estimate(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
         (topic, factory.encode(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, in_deck, single_numbers, frames)
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, True, frames, publish_tf)
     ]
 
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
     """Return the message of a smoothed pointing: the first message of :func:`pointing_messages`, on another topic."""
     pointing = PointingNumbers.from_estimate(estimate)
-    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, single_numbers, FRAME_NAMES))
+    (_, type_name, fields), *_ = _messages(pointing, ZERO_VECTOR, False, True, FRAME_NAMES, False)
     return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
 
 
 def pointing_rows(
-    factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
+    factory: MessageFactory,
+    lever: Mapping[str, float],
+    pointings: PointingNumbers,
+    frames: FrameNames = FRAME_NAMES,
+    publish_tf: bool = True,
 ) -> Iterator[OutputRows]:
     """Yield the messages of N pointings; messages of one pointing are in the order of :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda kind, places: _messages(pointings.subset(places), lever, kind[1], column_numbers, frames)
+        factory,
+        kinds,
+        lambda kind, at: _messages(pointings.subset(at), lever, kind[1], False, frames, publish_tf),
     )
 
 
 def _messages(
-    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
+    pointings: PointingNumbers,
+    lever: Fields,
+    in_deck: bool,
+    is_single: bool,
+    frames: FrameNames,
+    publish_tf: bool,
 ) -> MessageFields:
-    """Yield topic, type and fields of the messages of pointings that are all INVALID, or all not INVALID.
+    """Return topic, type and fields of the messages of pointings that are all INVALID, or all not INVALID.
 
-    The transform on /tf is relative to the deck if ``in_deck``, otherwise to the horizon.
+    The transform on /tf is relative to the deck if ``in_deck``, otherwise to the horizon. The fields are the numbers of
+    the only pointing if ``is_single``, otherwise columns with one value for each pointing.
     """
     of_main = angles(pointings.rotation_nm)
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
-    time_ns, mode, status, light_count = values_of(
-        pointings.time_ns, pointings.mode, np.array(pointings.status), pointings.light_count
-    )
-    main_angles, telescope_angles, covariance, rotation_covariance = values_of(
+    if in_deck:
+        rotations = FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T
+    else:
+        rotations = ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T
+    arrays = (
+        pointings.time_ns,
+        pointings.mode,
+        np.array(pointings.status),
+        pointings.light_count,
         of_main,
         angles(pointings.rotation_nt),
         covariances.reshape(-1, 9),
         enu_covariance(pointings.covariance_n).reshape(-1, 9),
+        quaternions(rotations),
     )
-    yield (
-        POINTING_TOPIC,
-        POINTING_TYPE,
-        {
-            "header": {"stamp": time_ns, "frame_id": MAIN_FRAME},
-            **dict(zip(("azimuth", "elevation", "image_rotation"), main_angles, strict=True)),
-            "covariance": covariance,
-            "rotation_covariance": rotation_covariance,
-            **dict(zip(_TELESCOPE_ANGLES, telescope_angles, strict=True)),
-            "mode": mode,
-            "status": status,
-            "light_count": light_count,
-        },
-    )
-    if pointings.status[0] is Status.INVALID:
-        return
-    if in_deck:
-        parent, translation = frames.deck, lever
-        rotations = quaternions(FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T)
-    else:
-        # With the INS alone the frame of the deck is not published, because its attitude comes from ship/attitude.
-        parent, translation = frames.horizon, ZERO_VECTOR
-        rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
-    (quaternion,) = values_of(rotations)
-    main = {
-        "header": {"stamp": time_ns, "frame_id": parent},
-        "child_frame_id": MAIN_FRAME,
-        "transform": {"translation": translation, "rotation": dict(zip("xyzw", quaternion, strict=True))},
+    values: list[Any] = [each[0].tolist() if is_single else each.T for each in arrays]
+    time_ns, mode, status, light_count, main, telescope, covariance, rotation_covariance, quaternion = values
+    pointing = {
+        "header": {"stamp": time_ns, "frame_id": MAIN_FRAME},
+        **dict(zip(("azimuth", "elevation", "image_rotation"), main, strict=True)),
+        "covariance": covariance,
+        "rotation_covariance": rotation_covariance,
+        **dict(zip(_TELESCOPE_ANGLES, telescope, strict=True)),
+        "mode": mode,
+        "status": status,
+        "light_count": light_count,
     }
-    yield TF_TOPIC, TF_TYPE, {"transforms": [main]}
+    messages: MessageFields = [(POINTING_TOPIC, POINTING_TYPE, pointing)]
+    if publish_tf and pointings.status[0] is not Status.INVALID:
+        # With the INS alone the frame of the deck is not published, because its attitude comes from ship/attitude.
+        frame = {
+            "header": {"stamp": time_ns, "frame_id": frames.deck if in_deck else frames.horizon},
+            "child_frame_id": MAIN_FRAME,
+            "transform": {
+                "translation": lever if in_deck else ZERO_VECTOR,
+                "rotation": dict(zip("xyzw", quaternion, strict=True)),
+            },
+        }
+        messages.append((TF_TOPIC, TF_TYPE, {"transforms": [frame]}))
+    return messages
 
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
