@@ -115,7 +115,7 @@ def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds(
     hand_over(run, sort_by_arrival([*others, *stars]), node_ns=node_ns)
     since_s = [(ns - MIDNIGHT_NS) / SECOND_NS for ns, name, m in run.published if name == "ship/attitude" and m.status]
     assert not [s for s in since_s if -5.0 < s < 0.0 or s > 2.0]
-    assert run.adapter.time_steps.time_base.steps == 1
+    assert run.adapter.time_base.steps == 1
 
 
 def test_lights_are_used_after_the_step_and_no_source_is_excluded() -> None:

@@ -302,7 +302,7 @@ def test_a_source_that_cannot_be_switched_off_is_refused(
     before, calls = adapter.config, list(adapter.core.calls)
     with pytest.raises(ParameterError, match=expected):
         adapter.set_parameters({"sources_off": [source]})
-    assert (adapter.config, adapter.core.calls, adapter.is_off(CHECKED)) == (before, calls, True)
+    assert (adapter.config, adapter.core.calls, CHECKED in adapter.off_topics) == (before, calls, True)
     with pytest.raises(ParameterError, match=expected):
         TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)
 

@@ -201,7 +201,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if not isinstance(core, SmoothingCore):  # smoothing needs single samples
             block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core.ins)
         read_ins = functools.partial(self._read_ins, config=config.ins)
-        yield Feed(ins, "ins", read_ins, core.ins.add, block=block, stream_quantity=ATTITUDE)
+        yield Feed(ins, "ins", read_ins, core.ins.add, block=block, shows_present="ins", stream_quantity=ATTITUDE)
         yield from sensor_feeds(config, core, self._sky_model)
         if self._sky_model is not None:
             yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings))

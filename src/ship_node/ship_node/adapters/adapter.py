@@ -132,6 +132,8 @@ class Feed:
         block: processing of many messages at once; None if messages are only processed one by one.
         read_rows: reader, called with many messages and their receive times; it returns None for each message that
             ``read`` must read.
+        shows_present: source, named as in exclusions, that a usable message shows to be present; empty for a topic
+            whose decisions show this, or that no VALID output needs.
         stream_quantity: quantity whose values show two publishers, live and in a recording; None if the topic is not
             checked.
             The quantity is computed from the decision if ``has_decision``, otherwise from the value read.
@@ -145,6 +147,7 @@ class Feed:
     measurement_source: str = ""
     block: BlockFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
+    shows_present: str = ""
     stream_quantity: "StreamQuantity | None" = None
 
 

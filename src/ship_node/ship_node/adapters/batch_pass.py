@@ -2,7 +2,7 @@
 
 For a block of messages, only computations that do not depend on other inputs are done together. A message that differs
 from the others in more than numbers, or is late, jumps, is rejected or follows a gap, ends a block and is processed
-alone. In a batch of more than one arrival, outputs on which no other message depends are computed at the end.
+alone. Outputs on which no other message depends are computed at the end.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ from ship_node.messages.inputs_outputs import (
 )
 
 if TYPE_CHECKING:
-    from ship_node.adapters.node_adapter import NodeAdapter
+    from ship_node.adapters.input_processing import InputProcessing
 
 _BACKOFF_MESSAGES = 8
 """Number of messages processed one by one after a block could not be evaluated."""
@@ -86,7 +86,7 @@ class BatchPass:
         batch: the batch.
     """
 
-    def __init__(self, adapter: "NodeAdapter", batch: Batch) -> None:
+    def __init__(self, adapter: "InputProcessing", batch: Batch) -> None:
         self._adapter, self._batch = adapter, batch
         # For each block, the index of its next message, and the messages that are read in advance.
         self._next = dict.fromkeys(batch.blocks, 0)
@@ -100,7 +100,6 @@ class BatchPass:
         self._outputs = BatchOutputs()
         self._estimates: list[_Estimates] = []
         # Place and order of each pending output, and the outputs computed so far.
-        self._may_defer = len(batch.arrivals) > 1
         self._pending_places: list[tuple[int, int]] = []
         self._computed: list[_Part] = []
         self._computed_count = 0
@@ -132,7 +131,7 @@ class BatchPass:
     @property
     def _deferring(self) -> DeferringPart | None:
         """Part of the core that defers outputs; an adoption within the batch replaces the core."""
-        return self._adapter.deferring_part if self._may_defer else None
+        return self._adapter.deferring_part
 
     def compute_pending(self) -> None:
         """Compute the pending outputs, because the next output or report must follow them."""
@@ -178,7 +177,7 @@ class BatchPass:
     def _evaluate(self, block: Block, number: int) -> _CurrentBlock | None:
         """Evaluate the messages of a block from an index on; return None if the first must be processed alone."""
         adapter, feed = self._adapter, self._adapter.feeds[block.topic]
-        if feed.block is None or adapter.is_off(block.topic) or adapter.time_steps.time_base.is_step_pending:
+        if feed.block is None or block.topic in adapter.off_topics or adapter.time_base.is_step_pending:
             return None
         if self._backoff:
             self._backoff -= 1
@@ -195,7 +194,7 @@ class BatchPass:
     def _evaluate_rows(self, feed: Feed, block_feed: BlockFeed, block: Block, some: slice) -> _CurrentBlock | None:
         adapter, topic, receive_ns = self._adapter, block.topic, block.receive_ns[some]
         reading = block_feed.read(block.messages.subset(some), receive_ns)
-        samples, time_base = reading.samples, adapter.time_steps.time_base
+        samples, time_base = reading.samples, adapter.time_base
         stamps_ns = samples.times_ns.tolist()
         count = time_base.count_without_step(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
         if count:
@@ -227,7 +226,8 @@ class BatchPass:
         samples = reading.samples.subset(slice(len(receive_ns)))
         adapter.duplicates.add_block(feed.input.topic, samples.times_ns, samples.rotations_nd)
         if count:
-            adapter.record_usable(feed, None, int(receive_ns[count - 1]))
+            if feed.shows_present:
+                adapter.last_usable_ns[feed.shows_present] = int(receive_ns[count - 1])
             times_ns = samples.times_ns[:count]
             adapter.health.record_block(feed.input.topic, receive_ns[:count], times_ns, reading.covariance_known)
         parts = [

@@ -1,4 +1,7 @@
-"""Processing of single messages by an adapter: read, check the clocks, pass the value to the core, count and report.
+"""The way of a message through an adapter: read, check the clocks, pass the value to the core, count, report.
+
+A live node processes one message at a time (``process_message``). Longer batches of a replay go through
+:class:`ship_node.adapters.batch_pass.BatchPass`, which processes messages by the same functions.
 
 Messages of sources that the parameter ``sources_off`` switches off are counted and not used. If the clocks of all
 inputs step together, the core is reset to its state from before the step.
@@ -9,30 +12,28 @@ from collections.abc import Callable, Collection, Iterable
 from operator import methodcaller
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ship_bags.message_factory import MessageFactory
-from ship_bags.stamps import duration_text, ns_from_stamp
+from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters.schema import ParameterError
 from ship_estimation.rejection_rules import Reason, Rejection
+from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_node.adapters.adapter import Feed
+from ship_node.adapters.adapter import DeferringPart, Feed
+from ship_node.adapters.batch_pass import BatchPass
 from ship_node.adapters.result_report import ResultReport
 from ship_node.health.duplicate_publishers import DuplicatePublishers
 from ship_node.health.input_health import InputHealthMonitor
-from ship_node.health.time_base import TimeBase
+from ship_node.health.time_base import TimeBase, step_text
+from ship_node.messages import common_messages
 from ship_node.messages.common_messages import DiagnosticStatus, Level
 from ship_node.messages.field_checks import MessageRejected, ReadMessage
-from ship_node.messages.inputs_outputs import Arrival, InputTopic, OutputMessage
+from ship_node.messages.inputs_outputs import Arrival, Batch, BatchOutputs, InputTopic, OutputMessage, PlacedMessages
 from ship_node.saved_files.saved_start import SavedStart
 
 SOURCE_OFF = Rejection(Reason.OFF, "switched off by sources_off")
 """Rejection of a message whose source is switched off."""
-
-_STARS = "star."
-_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
-_MAX_PENDING_STEP_NS = 60 * SECOND_NS
-"""Maximum age of the state from before a possible time step, ns; the core is not reset to an older state."""
-_STEP_SHOWN_NS = 60 * SECOND_NS
-"""Time for which a step of the time base is a warning, ns."""
 
 _ATTITUDE_SHAPE = (3, 3)
 """Shape of the noise covariance of an attitude measurement."""
@@ -80,74 +81,21 @@ def off_statuses(feeds: Iterable[Feed], off_topics: Collection[str]) -> list[Dia
     return [DiagnosticStatus("sources off", Level.WARN, text)] if names else []
 
 
-class TimeSteps:
-    """Steps of the time base, found from the stamps of all inputs.
-
-    Attributes:
-        time_base: the clocks of the inputs.
-    """
-
-    def __init__(self) -> None:
-        self.time_base = TimeBase()
-        # State of the core, and timeout-clock time, when the first input with a moved clock was found.
-        self._state_before: tuple[Any, int] | None = None
-        self._stepped_at_ns = 0
-
-    def restart(self) -> None:
-        """Discard the clocks of the inputs."""
-        self.time_base.restart()
-        self._state_before = None
-
-    def add_arrival(self, topic: str, time_ns: int, receive_ns: int, waiting_ns: int, core: Any) -> int | None:
-        """Add the stamp of a message; return a time step that the stamp reveals, ns, or None."""
-        step_ns = self.time_base.add_arrival(topic, time_ns, receive_ns, waiting_ns)
-        if step_ns is None and not self.time_base.is_step_pending:
-            self._state_before = None
-        elif step_ns is None and self._state_before is None:
-            self._state_before = getattr(core, "state", None), waiting_ns
-        return step_ns
-
-    def rejection(self, topic: str, source: str, time_ns: int, waiting_ns: int) -> Rejection | None:
-        """Return the rejection of a message whose stamp is ahead of other inputs or ambiguous; None if it is usable."""
-        ahead_ns = self.time_base.ahead_ns(topic) if self.time_base.is_step_pending else 0
-        if ahead_ns:
-            text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {source}"
-            return Rejection(Reason.FUTURE, text)
-        if source.startswith(_STARS) and self.time_base.is_misdated(time_ns, waiting_ns):
-            return Rejection(Reason.CLOCK, _LEAP_SECOND)
-        return None
-
-    def accept_step(self, core: Any, waiting_ns: int) -> Any:
-        """Record a step; return the core's state from before the step, to which the core is reset."""
-        state, before = getattr(core, "state", None), self._state_before
-        self._state_before, self._stepped_at_ns = None, waiting_ns
-        # Messages from after the step may have been used as late messages from before the step.
-        return before[0] if before is not None and waiting_ns - before[1] <= _MAX_PENDING_STEP_NS else state
-
-    def statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """Return one status with the last step of the time base; an empty list if there was no step."""
-        if not self.time_base.steps:
-            return []
-        level = Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else Level.OK
-        text = f"stepped by {step_text(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
-        return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
-
-
-def step_text(step_ns: int) -> str:
-    """Return the text of a time step."""
-    return f"{step_ns / SECOND_NS:+.3f} s"
-
-
 class InputProcessing(ResultReport):
-    """Part of an adapter that processes single messages; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
+    """Part of an adapter that processes messages; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
 
     Attributes:
         feeds: topic → its entry in the table.
-        time_steps: steps of the clocks of the inputs.
+        off_topics: topics of the sources that ``sources_off`` switches off.
+        time_base: clocks of the inputs, and the steps of all clocks together.
+        last_usable_ns: source, named as in exclusions → timeout-clock time of its last usable message.
+        batch_pass: the batch in progress; None between batches, and while a single message is processed.
     """
 
     required_sources: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
+    has_idle_ticks: ClassVar[bool] = True
+    """True if a tick among the messages of a block does not change the core."""
 
     def __init__(
         self,
@@ -167,7 +115,9 @@ class InputProcessing(ResultReport):
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthMonitor(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
-        self.time_steps = TimeSteps()
+        self.time_base = TimeBase()
+        self.last_usable_ns: dict[str, int] = {}
+        self.batch_pass: BatchPass | None = None
 
     @abstractmethod
     def table(self, config: Any, core: Any) -> Iterable[Feed]:
@@ -183,28 +133,58 @@ class InputProcessing(ResultReport):
         """See :class:`ship_node.adapters.adapter.Adapter`."""
         return frozenset(t for t, feed in self.feeds.items() if feed.block is not None or feed.read_rows is not None)
 
-    def is_off(self, topic: str) -> bool:
-        """Return True if the source of a topic is switched off by ``sources_off``."""
-        return topic in self.off_topics
+    @property
+    def deferring_part(self) -> DeferringPart | None:
+        """Part of the core that can compute several outputs of a batch together; None if there is none."""
+        return None
+
+    @property
+    @abstractmethod
+    def idle_until_ns(self) -> int:
+        """Timeout-clock time before which a tick only calls the core; 0 if every tick may do more."""
+
+    @abstractmethod
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
+        """See :class:`ship_node.adapters.adapter.Adapter`."""
+
+    def process(self, batch: Batch) -> BatchOutputs:
+        """See :class:`ship_node.adapters.adapter.Adapter`; a message that comes alone waits for no other."""
+        if len(batch.arrivals) == 1 and batch.arrivals[0].message is not None:
+            published = self.process_message(batch.arrivals[0])
+            return BatchOutputs([PlacedMessages(0, 0, published)] if published else [])
+        self.batch_pass = BatchPass(self, batch)
+        try:
+            return self.batch_pass.run()
+        finally:
+            self.batch_pass = None
+
+    def compute_pending(self) -> None:
+        """Compute the pending outputs of the batch in progress; the next output or report must follow them."""
+        if self.batch_pass is not None:
+            self.batch_pass.compute_pending()
 
     def process_message(self, arrival: Arrival, reading: ReadMessage[Any] | None = None) -> list[OutputMessage]:
         """Process one message, read in advance or not; return the messages to publish."""
         topic, message, receive_ns, waiting_ns = arrival.topic, arrival.message, arrival.receive_ns, arrival.waiting_ns
-        feed, is_off = self.feeds[topic], self.is_off(topic)
+        feed, is_off = self.feeds[topic], topic in self.off_topics
         # Messages of a source that is switched off do not start the core.
         if self.saved is not None and self.saved.is_pending and not is_off:
             self.saved.start(receive_ns)
         try:
             if reading is None:
                 reading = feed.read(message, receive_ns=receive_ns)
+            value = reading.value
             if is_off:
                 self.health.record_input(topic, waiting_ns, receive_ns, reading, SOURCE_OFF, is_used=False)
-                return [self.rejection_message(feed.source, reading.value.time_ns, SOURCE_OFF)]
-            rejection = self._check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
+                return [self.rejection_message(feed.source, value.time_ns, SOURCE_OFF)]
+            rejection = self._check_clock(feed, value.time_ns, receive_ns, waiting_ns)
             if rejection is not None:
                 raise MessageRejected(rejection.reason, rejection.text)
-            self._check_single_publisher(feed, reading)
-            outcome = None if reading.is_empty else feed.process(reading.value, waiting_ns)
+            # The streams of a topic whose core decides on each message are compared by the decisions.
+            is_compared = feed.stream_quantity is not None and not (feed.has_decision or reading.is_empty)
+            if is_compared and self.duplicates.add_value(topic, value.time_ns, value):
+                self.update_duplicate_publishers([topic])
+            outcome = None if reading.is_empty else feed.process(value, waiting_ns)
         except MessageRejected as problem:
             reason = problem.rejection.reason
             if reading is not None:
@@ -237,32 +217,70 @@ class InputProcessing(ResultReport):
         time_ns = reading.value.time_ns
         rejection = None if outcome is None else outcome.rejection
         used = not feed.has_decision or outcome is None
-        if outcome is not None and (rejection is None or rejection.reason in PRESENCE_REASONS):
-            self.record_usable(feed, reading.value, waiting_ns)
+        is_usable = outcome is not None and (rejection is None or rejection.reason in PRESENCE_REASONS)
+        if feed.shows_present and is_usable and not reading.is_degraded:
+            self.last_usable_ns[feed.shows_present] = waiting_ns
         self.health.record_input(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
-        published = self.rejected_part_messages(feed.source, time_ns, reading.rejected_parts)
+        published = [self.rejected_part_message(feed.source, time_ns, *part) for part in reading.rejected_parts]
         if rejection is not None:
             published.append(self.rejection_message(feed.source, time_ns, rejection))
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
-    def record_usable(self, feed: Feed, value: Any, waiting_ns: int) -> None:
-        """Record that a message was usable.
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+        """Record an outcome of the core and return its messages: decisions, failures, estimates.
 
-        Args:
-            feed: entry of the message's topic.
-            value: the value read; None for messages of a block.
-            waiting_ns: receive time by the timeout clock.
+        The estimates of a node that is behind are not published.
         """
+        if outcome.estimates:
+            self.compute_pending()
+        published: list[OutputMessage] = []
+        for decision in outcome.decisions:
+            published += self.report_decision(decision, now_ns, waiting_ns)
+        for time_ns, rejection in outcome.failures:
+            published.append(self.report_failure(self.main_topic, time_ns, rejection))
+        for estimate in outcome.estimates if self.overload_report.behind is None else ():
+            self.latest = estimate
+            self.pending_budget = None if estimate.status is Status.INVALID else estimate
+            if self.integrity_topic and estimate.status is not Status.INVALID:
+                published += self.protection_level_messages(estimate)
+            published += self._estimate_messages(estimate)
+        return published
 
-    def record_decision(self, decision: Any, now_ns: int) -> Feed:
-        """See :class:`ResultReport`; the innovation of an attitude is added to the check for two publishers."""
-        feed = self._feeds_by_source[decision.measurement.source]
-        topic = feed.input.topic
+    def report_decision(self, decision: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+        """Record the decision on a measurement and return the messages about it.
+
+        The innovation of an attitude is added to the check for two publishers.
+        """
+        feed, time_ns = self._feeds_by_source[decision.measurement.source], decision.measurement.time_ns
+        topic, source = feed.input.topic, feed.source
         self.health.record_decision(topic, decision, now_ns)
         is_attitude = decision.noise.shape == _ATTITUDE_SHAPE and not decision.revised
-        if is_attitude and self.duplicates.add_value(topic, decision.measurement.time_ns, decision):
+        if is_attitude and self.duplicates.add_value(topic, time_ns, decision):
             self.update_duplicate_publishers([topic])
-        return feed
+        if decision.reason is Reason.ATTITUDE_CONFLICT:
+            self.conflicts[source] = decision.text
+        elif decision.accepted:
+            self.conflicts.pop(source, None)
+        self.innovation_report.pending.append((source, decision))
+        published = [self.rejected_part_message(source, time_ns, *part) for part in decision.rejected_parts]
+        return [*published, (self.innovation_topic, common_messages.decision_message(self.factory, source, decision))]
+
+    def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
+        """Return the protection levels of an output if the published levels do not cover it."""
+        published, directions = self.published_levels, self.directions(estimate)
+        redundancy_key = self.redundancy_key(estimate)
+        # Runs for every output: the fast check comes first.
+        if published.state is estimate.state and published.redundancy_key == redundancy_key:
+            output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
+            if published.covered_count(*output):
+                return []
+        report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * SECOND_NS)
+        published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
+        if not published.needs_update(estimate, report, period_ns):
+            return []
+        config = self.config.integrity
+        message = common_messages.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
+        return [(self.integrity_topic, message)]
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """See :class:`ship_node.adapters.adapter.Adapter`."""
@@ -279,7 +297,7 @@ class InputProcessing(ResultReport):
         for topic in topics:
             feed, text = self.feeds[topic], self.duplicates.text(topic)
             self.health.set_duplicate_publishers(topic, text)
-            core_text = "" if self.is_off(topic) else text
+            core_text = "" if topic in self.off_topics else text
             source = feed.measurement_source or feed.source
             self.call_cores(methodcaller("set_duplicate_publishers", source, core_text))
 
@@ -292,7 +310,7 @@ class InputProcessing(ResultReport):
     def step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         self.compute_pending()
-        self.core.step_time_base(step_ns, self.time_steps.accept_step(self.core, waiting_ns))
+        self.core.step_time_base(step_ns, self.time_base.state_before_step(self.core, waiting_ns))
         self.restart_streams()
         self.health.reset_stamps()
         self.reset_outputs()
@@ -300,15 +318,9 @@ class InputProcessing(ResultReport):
 
     def _check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Rejection | None:
         """Process a time step that a stamp reveals; return the rejection of the message, or None."""
-        step_ns = self.time_steps.add_arrival(feed.input.topic, time_ns, receive_ns, waiting_ns, self.core)
+        step_ns, rejection = self.time_base.check_message(
+            feed.input.topic, feed.source, time_ns, receive_ns, waiting_ns, self.core
+        )
         if step_ns is not None:
             self.step_time_base(step_ns, waiting_ns)
-        return self.time_steps.rejection(feed.input.topic, feed.source, time_ns, waiting_ns)
-
-    def _check_single_publisher(self, feed: Feed, reading: ReadMessage[Any]) -> None:
-        """Add a value to the check for two publishers, unless the topic is checked by its decisions."""
-        if feed.stream_quantity is None or feed.has_decision or reading.is_empty:
-            return
-        topic = feed.input.topic
-        if self.duplicates.add_value(topic, reading.value.time_ns, reading.value):
-            self.update_duplicate_publishers([topic])
+        return rejection

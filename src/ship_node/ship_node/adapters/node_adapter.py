@@ -1,8 +1,9 @@
-"""The adapter of all nodes: a batch of messages goes through readers and core; results become messages.
+"""The adapter of all nodes: messages, ticks with periodic outputs, services, parameters.
 
-A topic's entry in the adapter's table (:class:`ship_node.adapters.adapter.Feed`) reads a message and passes its value
-to the core. The health statistics record the result. Rejections, decisions, failures and estimates become messages. The
-adapter of each node adds the table, the messages of an estimate and the node's diagnostics.
+Messages are processed in :mod:`ship_node.adapters.input_processing`. A topic's entry in the adapter's table
+(:class:`ship_node.adapters.adapter.Feed`) reads a message and passes its value to the core. The health statistics
+record the result. Rejections, decisions, failures and estimates become messages. The adapter of each node adds the
+table, the messages of an estimate and the node's diagnostics.
 """
 
 from abc import abstractmethod
@@ -16,12 +17,12 @@ from ship_estimation.parameters.schema import with_changes
 from ship_estimation.rejection_rules import Reason, Rejection, failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
-from ship_node.adapters.adapter import DeferringPart, Overload, ServiceResult
-from ship_node.adapters.batch_pass import BatchPass
-from ship_node.adapters.input_processing import InputProcessing, disabled_topics, off_statuses, step_text
+from ship_node.adapters.adapter import Overload, ServiceResult
+from ship_node.adapters.input_processing import InputProcessing, disabled_topics, off_statuses
+from ship_node.health.time_base import step_text
 from ship_node.messages import common_messages
 from ship_node.messages.common_messages import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
-from ship_node.messages.inputs_outputs import Batch, BatchOutputs, OutputMessage, OutputTopic
+from ship_node.messages.inputs_outputs import OutputMessage, OutputTopic
 from ship_node.saved_files.saved_start import SavedStart
 
 INPUT_HEALTH_TOPIC = "input_health"
@@ -54,8 +55,6 @@ class NodeAdapter(InputProcessing):
     config_type: ClassVar[type]
     services: ClassVar[tuple[str, ...]]
     outputs: tuple[OutputTopic, ...]
-    has_idle_ticks: ClassVar[bool] = True
-    """True if a tick among the messages of a block does not change the core."""
     reset_text: ClassVar[str] = "the filter was reset"
     start_warnings: tuple[str, ...] = ()
 
@@ -92,28 +91,15 @@ class NodeAdapter(InputProcessing):
         return None
 
     @property
-    def deferring_part(self) -> DeferringPart | None:
-        """Part of the core that can compute several outputs of a batch together; None if there is none."""
-        return None
-
-    @property
     def save_obstacle(self) -> str:
         """Reason why nothing is saved now; empty if there is none."""
         return ""
 
     # -- called by the node runtime and the replay ----------------------------------------------------------
 
-    def process(self, batch: Batch) -> BatchOutputs:
-        """See :class:`ship_node.adapters.adapter.Adapter`."""
-        self.batch_pass = BatchPass(self, batch)
-        try:
-            return self.batch_pass.run()
-        finally:
-            self.batch_pass = None
-
     @property
     def idle_until_ns(self) -> int:
-        """Timeout-clock time before which a tick only calls the core; 0 if every tick may do more."""
+        """See :class:`InputProcessing`."""
         if self.next_slow_ns is None or (self.saved is not None and self.saved.is_pending):
             return 0
         if self.saved is None:
@@ -161,7 +147,7 @@ class NodeAdapter(InputProcessing):
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record a step of the computer's clock; the time base steps too if the inputs follow."""
-        self.time_steps.time_base.note_computer_step(step_ns, waiting_ns)
+        self.time_base.note_computer_step(step_ns, waiting_ns)
         self.notices.append(f"the computer's clock stepped by {step_text(step_ns)}")
         return []
 
@@ -204,7 +190,7 @@ class NodeAdapter(InputProcessing):
         self.core.reset(clock_jumped)
         self.restart_streams()
         self.health.restart()
-        self.time_steps.restart()
+        self.time_base.restart()
         if self.saved is not None:
             self.saved.note_core_reset()
         self.reset_outputs()
@@ -247,6 +233,6 @@ class NodeAdapter(InputProcessing):
         messages, statuses = self.health.messages_and_statuses(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
         statuses += [*self.own_statuses(waiting_ns), *off_statuses(self.feeds.values(), self.off_topics)]
-        statuses += [*self.time_steps.statuses(waiting_ns), self.overload_report.status()]
+        statuses += [*self.time_base.statuses(waiting_ns), self.overload_report.status()]
         array = common_messages.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]

@@ -18,7 +18,6 @@ from ship_estimation.rejection_rules import failure_rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.adapter import Feed
 from ship_node.adapters.input_processing import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import NodeAdapter
 from ship_node.messages.common_messages import DiagnosticStatus, Level
@@ -88,7 +87,6 @@ class RecoveringAdapter(NodeAdapter):
 
     def __init__(self, config: Any, *rest: Any) -> None:
         self.recovery = EstimatorRecovery(config.recovery)
-        self._last_usable_ns: dict[str, int] = {}
         self._last_decision_ns: int | None = None
         super().__init__(config, *rest)
 
@@ -99,12 +97,8 @@ class RecoveringAdapter(NodeAdapter):
     def source_timeouts_s(self) -> Mapping[str, float]:
         """Maximum age of the last usable message of a present source, s, by prefix of the source's name."""
 
-    def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
-        """Return the sources, named as in exclusions, that a usable message shows to be present."""
-        return () if feed.has_decision else (feed.source,)
-
     def sources_of_decision(self, decision: Any) -> Iterable[str]:
-        """Return the sources that a compared measurement shows to be present."""
+        """Return the sources, named as in exclusions, that a compared measurement shows to be present."""
         return (decision.measurement.source,)
 
     @abstractmethod
@@ -142,22 +136,16 @@ class RecoveringAdapter(NodeAdapter):
             process = _process_in_both(self.feeds[topic].process, feed.process, candidate)
             self.feeds[topic] = replace(self.feeds[topic], process=process, block=None)
 
-    def record_usable(self, feed: Feed, value: Any, waiting_ns: int) -> None:
-        """See :class:`NodeAdapter`; a usable message shows that its source is present."""
-        self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, value), waiting_ns)
-
-    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+    def report_decision(self, decision: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`NodeAdapter`; a compared measurement shows that its source is present."""
-        for decision in outcome.decisions:
-            if decision.reason in PRESENCE_REASONS:
-                self._last_usable_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
+        if decision.reason in PRESENCE_REASONS:
+            self.last_usable_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
         failed = []
         try:
-            for decision in outcome.decisions:
-                self.recovery.record_decision(self.core, decision)
+            self.recovery.record_decision(self.core, decision)
         except Exception as error:
             failed = [self.report_failure(_RECOVERY, now_ns, failure_rejection(error))]
-        return failed + super().report_outcome(outcome, now_ns, waiting_ns)
+        return failed + super().report_decision(decision, now_ns, waiting_ns)
 
     @property
     def idle_until_ns(self) -> int:
@@ -198,7 +186,7 @@ class RecoveringAdapter(NodeAdapter):
         before = self.recovery.candidate
         present_sources = frozenset(
             source
-            for source, arrived_ns in self._last_usable_ns.items()
+            for source, arrived_ns in self.last_usable_ns.items()
             for kind, most_s in self.source_timeouts_s.items()
             if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
         )
@@ -251,7 +239,7 @@ class RecoveringAdapter(NodeAdapter):
 
     def _reset_recovery(self) -> None:
         self.recovery.reset()
-        self._last_usable_ns.clear()
+        self.last_usable_ns.clear()
         self._last_decision_ns = None
         self.bind()
 

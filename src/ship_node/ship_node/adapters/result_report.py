@@ -1,11 +1,11 @@
-"""Report of the core's results by an adapter: decisions, failures, estimates, protection levels, diagnoses.
+"""Reports of an adapter: rejections and failures, overload, innovation diagnoses, integrity and conflicts.
 
 The innovations of a node's sources are diagnosed for its diagnostics. Decisions are collected as they come and
 evaluated once per diagnostics period, so that no measurement waits for statistics. The results of a node that is behind
 its inputs are not published; the overload is reported instead.
 """
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
@@ -22,12 +22,11 @@ from ship_estimation.innovations.innovation_diagnosis import (
 )
 from ship_estimation.integrity.published_levels import PublishedLevels
 from ship_estimation.kalman.kalman_filter import StateModel
-from ship_estimation.rejection_rules import Reason, Rejection
+from ship_estimation.rejection_rules import Rejection
 from ship_estimation.time_order.outcome import MeasurementDecision, Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_geometry.rotations import FloatArray
-from ship_node.adapters.adapter import Feed, Overload
-from ship_node.adapters.batch_pass import BatchPass
+from ship_node.adapters.adapter import Overload
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.messages import common_messages
 from ship_node.messages.common_messages import DiagnosticStatus, Level
@@ -136,7 +135,7 @@ class OverloadReport:
 
 
 class ResultReport(ABC):
-    """Part of an adapter that reports the core's results; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
+    """Part of an adapter that makes its reports; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
 
     Attributes:
         config: the current parameters.
@@ -148,7 +147,6 @@ class ResultReport(ABC):
         published_levels: the protection levels last published.
         next_slow_ns: timeout-clock time of the next slow topics; None if the next tick publishes them.
         overload_report: overload of the node; the estimates of a node that is behind are not published.
-        batch_pass: the batch in progress; None between batches.
     """
 
     node_name: ClassVar[str]
@@ -178,95 +176,27 @@ class ResultReport(ABC):
         self.published_levels = PublishedLevels()
         self.next_slow_ns: int | None = None
         self.overload_report = OverloadReport(self.node_name)
-        self.batch_pass: BatchPass | None = None
 
     def call_cores(self, call: Callable[[Any], None]) -> None:
         """Call a function with each estimator of the node."""
         call(self.core)
 
-    @abstractmethod
-    def record_decision(self, decision: Any, now_ns: int) -> Feed:
-        """Record the decision on a measurement and return the measurement's input."""
-
     def batch_messages(self, runs: Sequence[Any]) -> Iterator[OutputRows]:
         """Return the messages of several runs of outputs; the messages of one output are in order of publication."""
         return iter(())
 
-    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
-        """Return the ship_msgs/Innovation of a rejected part (a star, a light) of a measurement."""
-        text = Rejection(rejection.reason, f"{name}: {rejection.text}")
-        return common_messages.rejection_message(self.factory, source, time_ns, text)
-
-    def compute_pending(self) -> None:
-        """Compute the pending outputs of the batch in progress; the next output or report must follow them."""
-        if self.batch_pass is not None:
-            self.batch_pass.compute_pending()
-
-    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-        """Record an outcome of the core and return its messages: decisions, failures, estimates.
-
-        The estimates of a node that is behind are not published.
-        """
-        if outcome.estimates:
-            self.compute_pending()
-        decisions = []
-        for decision in outcome.decisions:
-            feed = self.record_decision(decision, now_ns)
-            if decision.reason is Reason.ATTITUDE_CONFLICT:
-                self.conflicts[feed.source] = decision.text
-            elif decision.accepted:
-                self.conflicts.pop(feed.source, None)
-            decisions.append((feed.source, decision))
-        self.innovation_report.pending += decisions
-        published: list[OutputMessage] = []
-        for source, decision in decisions:
-            published += self.rejected_part_messages(source, decision.measurement.time_ns, decision.rejected_parts)
-            message = common_messages.decision_message(self.factory, source, decision)
-            published.append((self.innovation_topic, message))
-        for time_ns, rejection in outcome.failures:
-            published.append(self.report_failure(self.main_topic, time_ns, rejection))
-        for estimate in outcome.estimates if self.overload_report.behind is None else ():
-            self.latest = estimate
-            self.pending_budget = None if estimate.status is Status.INVALID else estimate
-            if self.integrity_topic and estimate.status is not Status.INVALID:
-                published += self.protection_level_messages(estimate)
-            published += self._estimate_messages(estimate)
-        return published
+    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> OutputMessage:
+        """Return the message about a rejected part (a star, a light) of a measurement."""
+        return self.rejection_message(source, time_ns, Rejection(rejection.reason, f"{name}: {rejection.text}"))
 
     def rejection_message(self, source: str, time_ns: int, rejection: Rejection) -> OutputMessage:
         """Return the message about a rejected input."""
         return self.innovation_topic, common_messages.rejection_message(self.factory, source, time_ns, rejection)
 
-    def rejected_part_messages(
-        self, source: str, time_ns: int, parts: Sequence[tuple[str, Rejection]]
-    ) -> list[OutputMessage]:
-        """Return the messages about rejected parts of a measurement."""
-        return [
-            (self.innovation_topic, self.rejected_part_message(source, time_ns, name, rejection))
-            for name, rejection in parts
-        ]
-
     def report_failure(self, what: str, time_ns: int, rejection: Rejection) -> OutputMessage:
         """Record that an output could not be computed and return the message about it."""
         self.health.record_failure(f"{what}: {rejection.text}")
         return self.rejection_message(what, time_ns, rejection)
-
-    def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
-        """Return the protection levels of an output if the published levels do not cover it."""
-        published, directions = self.published_levels, self.directions(estimate)
-        redundancy_key = self.redundancy_key(estimate)
-        # Runs for every output: the fast check comes first.
-        if published.state is estimate.state and published.redundancy_key == redundancy_key:
-            output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
-            if published.covered_count(*output):
-                return []
-        report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * SECOND_NS)
-        published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
-        if not published.needs_update(estimate, report, period_ns):
-            return []
-        config = self.config.integrity
-        message = common_messages.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
-        return [(self.integrity_topic, message)]
 
     def reset_outputs(self) -> None:
         """Discard the published estimate and the reports; the next tick publishes the slow topics."""

@@ -19,8 +19,12 @@ not follow are ahead of the node's clock, so these stamps are unusable in any ca
 
 import bisect
 from dataclasses import dataclass, field
+from typing import Any
 
+from ship_bags.stamps import duration_text
+from ship_estimation.rejection_rules import Reason, Rejection
 from ship_geometry.earth.time_scales import SECOND_NS, leap_seconds
+from ship_node.messages.common_messages import DiagnosticStatus, Level
 
 _MIN_STEP_NS = SECOND_NS // 2
 """Smallest step of stamps that counts without a step of the computer's clock, ns."""
@@ -64,6 +68,13 @@ _LEAP_NS = -SECOND_NS
 _LEAP_TOLERANCE_NS = SECOND_NS // 4
 _LEAP_KNOWN_NS = 3 * SECOND_NS
 """Time for which an inserted leap second is remembered, ns."""
+
+_STARS = "star."
+_LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
+_MAX_PENDING_STEP_NS = 60 * SECOND_NS
+"""Maximum age of the state from before a possible time step, ns; the core is not reset to an older state."""
+_STEP_SHOWN_NS = 60 * SECOND_NS
+"""Time for which a step of the time base is a warning, ns."""
 
 
 @dataclass(slots=True)
@@ -121,7 +132,7 @@ class TimeBase:
     """
 
     def __init__(self) -> None:
-        self.steps, self.last_step_ns = 0, 0
+        self.steps, self.last_step_ns, self._stepped_at_ns = 0, 0, 0
         self._leaps_ns = leap_seconds().starts_ns.tolist()
         self.restart()
 
@@ -131,6 +142,8 @@ class TimeBase:
         self._candidate: _Candidate | None = None
         self._computer: tuple[int, int] | None = None
         self._leap_at_ns: int | None = None
+        # State of the core, and timeout-clock time, when the first input with a moved clock was found.
+        self._state_before: tuple[Any, int] | None = None
 
     @property
     def is_step_pending(self) -> bool:
@@ -145,6 +158,48 @@ class TimeBase:
             waiting_ns: time by the timeout clock.
         """
         self._computer = step_ns, waiting_ns + _FOLLOWS_WITHIN_NS
+
+    def check_message(
+        self, topic: str, source: str, stamp_ns: int, receive_ns: int, waiting_ns: int, core: Any
+    ) -> tuple[int | None, Rejection | None]:
+        """Add a message; return the step that it confirms, and its rejection, each None if there is none.
+
+        A message is rejected if its stamp is ahead of the other inputs or ambiguous.
+
+        Args:
+            topic: topic of the message.
+            source: name of the device.
+            stamp_ns: stamp of the message.
+            receive_ns: receive time by the node's clock.
+            waiting_ns: receive time by the timeout clock.
+            core: the estimator, whose state from before a possible step is kept.
+        """
+        step_ns = self.add_arrival(topic, stamp_ns, receive_ns, waiting_ns)
+        if step_ns is None and self._candidate is None:
+            self._state_before = None
+        elif step_ns is None and self._state_before is None:
+            self._state_before = getattr(core, "state", None), waiting_ns
+        if self._candidate is not None and (ahead_ns := self.ahead_ns(topic)):
+            text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {source}"
+            return step_ns, Rejection(Reason.FUTURE, text)
+        if source.startswith(_STARS) and self.is_misdated(stamp_ns, waiting_ns):
+            return step_ns, Rejection(Reason.CLOCK, _LEAP_SECOND)
+        return step_ns, None
+
+    def state_before_step(self, core: Any, waiting_ns: int) -> Any:
+        """Return the core's state from before the step just found, to which the core is reset."""
+        state, before = getattr(core, "state", None), self._state_before
+        self._state_before, self._stepped_at_ns = None, waiting_ns
+        # Messages from after the step may have been used as late messages from before the step.
+        return before[0] if before is not None and waiting_ns - before[1] <= _MAX_PENDING_STEP_NS else state
+
+    def statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
+        """Return one status with the last step of the time base; an empty list if there was no step."""
+        if not self.steps:
+            return []
+        level = Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else Level.OK
+        text = f"stepped by {step_text(self.last_step_ns)}: reset, mountings and calibration kept"
+        return [DiagnosticStatus("time base", level, text, {"steps": str(self.steps)})]
 
     def add_arrival(self, topic: str, stamp_ns: int, receive_ns: int, waiting_ns: int) -> int | None:
         """Add a message; return the step of the time base if the message confirms one.
@@ -338,6 +393,11 @@ class TimeBase:
         if abs(step_ns - _LEAP_NS) <= _LEAP_TOLERANCE_NS:
             self._leap_at_ns = waiting_ns
         return step_ns
+
+
+def step_text(step_ns: int) -> str:
+    """Return the text of a time step."""
+    return f"{step_ns / SECOND_NS:+.3f} s"
 
 
 def _are_equal(step_ns: int, other_ns: int) -> bool:

@@ -62,12 +62,14 @@ class ReadMessage(Generic[Value]):
         covariance_known: False if the message gives no covariance; the configured sigma is used then.
         rejected_parts: rejected parts of the message (stars, lights), by name, with the reasons.
         is_empty: True if the device works but detected nothing, so that there is nothing to compare.
+        is_degraded: True if the device states that its value is not good enough for a VALID output.
     """
 
     value: Value
     covariance_known: bool = True
     rejected_parts: tuple[tuple[str, Rejection], ...] = ()
     is_empty: bool = False
+    is_degraded: bool = False
 
 
 class MessageRejected(Exception):

@@ -27,7 +27,6 @@ from ship_node.messages.common_messages import (
     TF_TYPE,
     DiagnosticStatus,
     Level,
-    rejection_message,
 )
 from ship_node.messages.inputs_outputs import InputTopic, OutputMessage, OutputRows, OutputTopic
 from ship_node.saved_files.saved_document import DISK, Files
@@ -64,7 +63,6 @@ from theodolite_calib.samples.samples import (
     Mode,
     PointingEstimate,
     PointingOutcome,
-    ShipSample,
 )
 
 BASE_FRAME = "theodolite_base"
@@ -180,14 +178,24 @@ class OpticalAxisAdapter(RecoveringAdapter):
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(input_messages.encoder, config=config)
         read_encoders = functools.partial(input_messages.encoders, config=config)
-        add_encoder = core.pointings.add_encoder
-        yield Feed(encoder, "encoder", read_encoder, add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS)
+        yield Feed(
+            encoder,
+            "encoder",
+            read_encoder,
+            core.pointings.add_encoder,
+            read_rows=read_encoders,
+            shows_present=ENCODER,
+            stream_quantity=ENCODERS,
+        )
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
         read_ships = None if by_ins else functools.partial(input_messages.ship_attitudes, config=config)
         read_ship = functools.partial(read_ship, config=config)
-        yield Feed(ship, "ship", read_ship, core.pointings.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
+        add_ship = core.pointings.add_ship
+        yield Feed(
+            ship, "ship", read_ship, add_ship, read_rows=read_ships, shows_present=SHIP, stream_quantity=ATTITUDE
+        )
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image = functools.partial(input_messages.exposure, config=config)
         process = ignore_time(core.add_exposure)
@@ -241,14 +249,14 @@ class OpticalAxisAdapter(RecoveringAdapter):
         pointings, config = PointingNumbers.from_series(series), self.config
         return pointing_rows(self.factory, self._lever, pointings, config.frames, config.publish_tf)
 
-    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
-        """Return ship_msgs/Innovation of a beacon or star rejected within its exposure.
+    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> OutputMessage:
+        """Return the message about a beacon or star rejected within its exposure.
 
         For a beacon the source of the innovation is ``light.<id>``.
         """
         if source != "lights":
             return super().rejected_part_message(source, time_ns, name, rejection)
-        return rejection_message(self.factory, f"light.{name}", time_ns, rejection)
+        return self.rejection_message(f"light.{name}", time_ns, rejection)
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return budget and errors of the latest pointing, advice for the drones, and the calibration."""
@@ -274,12 +282,6 @@ class OpticalAxisAdapter(RecoveringAdapter):
     def source_timeouts_s(self) -> Mapping[str, float]:
         """See :class:`RecoveringAdapter`; beacons count as present for as long as they determine the mode."""
         return {ENCODER: _STREAM_TIMEOUT_S, SHIP: _STREAM_TIMEOUT_S, BEACON_PREFIX: self.config.lights_recent_s}
-
-    def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
-        """See :class:`RecoveringAdapter`; a DEGRADED ship's attitude does not count: it gives no VALID pointing."""
-        if isinstance(value, ShipSample):
-            return () if value.status is Status.DEGRADED else (SHIP,)
-        return super().sources_of_message(feed, value)
 
     def sources_of_decision(self, decision: ExposureDecision) -> Iterable[str]:
         """See :class:`RecoveringAdapter`; beacons whose data are incomplete do not count."""

@@ -108,19 +108,22 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
         raise MessageRejected(Reason.GAP, "the source reports INVALID")
     if message.status not in list(Status):
         raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
-    rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
-    total_n = _ship_covariance(message, rotation_nd)
-    rate = message.angular_velocity
+    quaternion, rate = unit_quaternion(message.orientation), message.angular_velocity
+    rotation_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
     # Rates of NaN state that the source has no rate.
-    rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
-    rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
+    rate_known = not (math.isnan(rate.x) and math.isnan(rate.y) and math.isnan(rate.z))
+    rate_ros = ship_rate(rate) if rate_known else None
+    rotation_nd = rotation_from_quaternion(quaternion)
+    rate_d = None if rate_ros is None else device_vector_from_ros(rate_ros)
+    total_n = _covariance_of_angles(message, rotation_nd) if rotation_enu is None else horizon_covariance(rotation_enu)
     if total_n is None:
         tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
         slow_n = np.diag([tilt**2, heading**2, tilt**2])
     else:
         (slow_n,) = without_white(total_n[None], config.ship.white_sigma_arcsec)
-    sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
-    return ReadMessage(sample, total_n is not None)
+    status = Status(message.status)
+    sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, status)
+    return ReadMessage(sample, total_n is not None, is_degraded=status is Status.DEGRADED)
 
 
 def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
@@ -262,17 +265,13 @@ def _detector_point_m(message: Any) -> FloatArray:
     return np.array([message.x, message.z])
 
 
-def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
-    """Return the total covariance of the rotation vector in n, rad²; None if the message has no covariance."""
-    rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
-    if rotation_enu is not None:
-        total_n = horizon_covariance(rotation_enu)
-    else:
-        angles = covariance_3x3(message.covariance)
-        if angles is None:
-            return None
-        heading, pitch, _ = angles_from_rotation(rotation_nd)
-        total_n = rotation_vector_covariance(angles, heading, pitch)
+def _covariance_of_angles(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
+    """Return the covariance of the angles as that of the rotation vector in n, rad²; None if it is not given."""
+    angles = covariance_3x3(message.covariance)
+    if angles is None:
+        return None
+    heading, pitch, _ = angles_from_rotation(rotation_nd)
+    total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
     if not largest <= MAX_VARIANCE:
         raise MessageRejected(
@@ -321,7 +320,8 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
         rates_d = device_vector_from_ros(rates_ros[good])
         slow_n = without_white(horizon_covariance(covariances_enu[good]), config.ship.white_sigma_arcsec)
         status = map(Status, numbers["status"][good].tolist())
-        return map(ReadMessage, map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status))
+        read = map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status)
+        return (ReadMessage(sample, is_degraded=sample.status is Status.DEGRADED) for sample in read)
 
     return read_valid(messages, config.ship.frame_id, good, samples)
 
