@@ -12,8 +12,7 @@ import numpy as np
 
 from bench_rows import WITH_INTEGRITY, Row, alternate, own_cpu_s
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_studies.campaign.items import campaign_items
-from ship_studies.campaign.results import run_item
+from ship_studies.campaign.items import campaign_items, run_item
 from ship_studies.campaign.workers import run_in_processes
 from ship_testing.trials.monte_carlo import final_error
 

@@ -6,8 +6,7 @@ import struct
 import sys
 from pathlib import Path
 
-from ship_studies.campaign.items import Item
-from ship_studies.campaign.results import Result, failed_result
+from ship_studies.campaign.items import Item, Result, failed_result
 
 DEADLY_SEED = 2
 

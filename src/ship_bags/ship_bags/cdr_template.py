@@ -4,8 +4,8 @@ If the texts of a message and the lengths of its sequences are known, every numb
 :class:`CdrTemplate` computes these offsets once, from the definition; then all numbers are packed and read at once. A
 message with other texts or lengths has another template. The encoding is plain CDR (XCDR1), little endian.
 
-:class:`CdrEncoder` encodes messages by templates. :class:`ship_bags.cdr_reader.CdrReader` reads the messages of a topic
-that differ only in numbers.
+:class:`CdrEncoder` encodes messages by templates. :class:`ship_bags.message_factory.CdrReader` reads the messages of a
+topic that differ only in numbers.
 """
 
 import abc

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ship_bags.cdr_reader import CdrReader
 from ship_bags.cdr_template import CdrRows, CdrTemplate
-from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_factory import CdrReader, RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize, ship_message_folder
 
 SHIP_TYPES = sorted(f"ship_msgs/msg/{path.stem}" for path in ship_message_folder().glob("*.msg"))

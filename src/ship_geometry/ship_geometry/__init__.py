@@ -244,7 +244,7 @@ Terms of integrity
         Module: ship_estimation.fault_detection.exclusion.
     Mounting shift
         Step of the installation of a device.
-        Unit: rad, d; module: ship_watch.sources.mounting_shifts.
+        Unit: rad, d; module: ship_watch.sources.source_history.
     Drift
         Slow change of an attitude or of a mounting.
         Unit: rad, n or d; module: ship_estimation.plausibility.rate_comparison.

@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
-from ship_bags.software_versions import SUITE_PACKAGES
+from ship_bags.provenance import SUITE_PACKAGES
 from ship_estimation.parameters.schema import build
 from ship_node.black_box import black_box as black_box_module
 from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox, free_path

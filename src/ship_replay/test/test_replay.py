@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition, suite_definition
 from ship_bags.message_store import serialize
-from ship_bags.software_versions import COMMIT_RECORD, commit_record
+from ship_bags.provenance import COMMIT_RECORD, commit_record
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters.fields import parameter
 from ship_estimation.rejection_rules import Reason, Rejection

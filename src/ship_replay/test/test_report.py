@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.software_versions import COMMIT_RECORD, suite_commit
+from ship_bags.provenance import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.figures import UtcTicks

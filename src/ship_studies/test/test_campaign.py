@@ -16,14 +16,22 @@ from pathlib import Path
 import pytest
 from distributed import LocalCluster
 
+from ship_bags.provenance import folder_sha256
 from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay
-from ship_replay.offline.digests import folder_sha256
 from ship_simulation.simulate_command import main as simulate
 from ship_studies.campaign.campaign_command import main
-from ship_studies.campaign.items import campaign_items, parse_seeds
+from ship_studies.campaign.items import (
+    PAGE,
+    TABLE,
+    ResultFolder,
+    campaign_items,
+    csv_table,
+    failed_result,
+    parse_seeds,
+    run_item,
+)
 from ship_studies.campaign.page import page, pools, worst_items
-from ship_studies.campaign.results import PAGE, TABLE, ResultFolder, csv_table, failed_result, run_item
 from ship_studies.campaign.workers import MAX_WORKER_FAILURES, run_in_cluster, run_in_processes
 from ship_testing.campaign_items import dies_always, dies_once, dies_once_while_sending
 from ship_testing.short_scenario import SHORT

@@ -25,7 +25,7 @@ from ship_watch.published_state import PublishedState, alerts_from_message, publ
 from ship_watch.safety.angles import Angles, AttitudeRecord, OutputRecord, PointingRecord
 from ship_watch.safety.limits import Limits
 from ship_watch.safety.safety import COUNTDOWN
-from ship_watch.sources.mounting_shifts import MountingShifts
+from ship_watch.sources.source_history import MountingShifts
 from ship_watch.sources.sources import STAR_INNOVATION, OverloadedNodes, SourceRecords, newest_age_s
 from ship_watch.suite_state import (
     ANGLES,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.rotations import ARCSEC
-from ship_watch.sources.decision_history import DecisionHistory, angle_text
+from ship_watch.sources.source_history import DecisionHistory, angle_text
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_watch.sources.mounting_shifts import DISPLAY_TIME_NS, MountingShifts
+from ship_watch.sources.source_history import DISPLAY_TIME_NS, MountingShifts
 from ship_watch.suite_state import Presence, SourceState
 
 SECOND = 1_000_000_000

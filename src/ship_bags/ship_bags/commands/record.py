@@ -33,7 +33,7 @@ from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.message_store import use_installed_definition
 from ship_bags.output_files import add_force_option, check_file
-from ship_bags.software_versions import COMMIT_RECORD, commit_record
+from ship_bags.provenance import COMMIT_RECORD, commit_record
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DESCRIPTION = """\

@@ -24,7 +24,7 @@ from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_definition, type_hash
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
-from ship_bags.software_versions import versions
+from ship_bags.provenance import versions
 from ship_node.adapters.adapter import Adapter
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,

@@ -25,7 +25,7 @@ black box), ``part`` (from 1) and ``first`` (name of the first file). The last t
 one file."""
 
 VERSIONS_ATTACHMENT = "versions.json"
-"""Name of the attachment with the result of :func:`ship_bags.software_versions.versions`; the parameters are in
+"""Name of the attachment with the result of :func:`ship_bags.provenance.versions`; the parameters are in
 :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
 
 

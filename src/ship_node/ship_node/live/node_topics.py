@@ -28,9 +28,8 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from ship_bags.cdr_reader import CdrReader
 from ship_bags.errors import BadInput
-from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_factory import CdrReader, RosidlFactory, message_class
 from ship_node.adapters.adapter import Adapter
 from ship_node.health.duplicate_publishers import ActivePublishers, duplicate_publishers_text, publisher_names
 from ship_node.live.node_report import ExceptionGuard, NodeLog

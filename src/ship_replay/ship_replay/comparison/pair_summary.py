@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ship_bags.software_versions import COMMIT_RECORD
+from ship_bags.provenance import COMMIT_RECORD
 from ship_replay.comparison.pair import OutputDifference, Pair, input_sentences
 from ship_replay.comparison.pair_tables import SAME_TIME_NS, ErrorRow, ParameterDifference
 from ship_replay.report.recording import RecordedHistory

@@ -16,7 +16,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, ProgressWrapper, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import ADDITIONAL_FIELD, RosbagsFactory
-from ship_bags.software_versions import COMMIT_RECORD, commit_record
+from ship_bags.provenance import COMMIT_RECORD, commit_record
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, remap_advice
 from ship_node.adapters.adapter import Adapter

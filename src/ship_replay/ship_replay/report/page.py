@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.command_line import with_count
-from ship_bags.software_versions import COMMIT_RECORD, LIBRARIES, SUITE_PACKAGES, package_versions, suite_commit
+from ship_bags.provenance import COMMIT_RECORD, LIBRARIES, SUITE_PACKAGES, package_versions, suite_commit
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT

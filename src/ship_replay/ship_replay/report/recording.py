@@ -19,12 +19,12 @@ from typing import Any
 from ship_bags.command_line import start_worker_process
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
+from ship_bags.provenance import content_sha256
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, current_names, namespace_of_outputs, relative_topics
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
-from ship_replay.offline.digests import content_sha256
 from ship_replay.offline.replay_summary import STATUS_NAMES
 from ship_watch.alerts.alert_conditions import conditions
 from ship_watch.alerts.alerts import AlertList, AlertState

@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store, serialize
 from ship_bags.parameter_yaml import full_name, in_any_namespace
-from ship_bags.software_versions import versions
+from ship_bags.provenance import versions
 from ship_estimation.parameters.schema import build, flatten, nest
 from ship_node.adapters.adapter import Adapter
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT

@@ -11,8 +11,18 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
 from ship_bags.topic_names import add_bag_name_options
 from ship_node.pages.console_tables import table_console
-from ship_studies.campaign.items import Item, campaign_items, parse_seeds
-from ship_studies.campaign.results import PAGE, TABLE, ItemResult, Result, ResultFolder, csv_table, run_item
+from ship_studies.campaign.items import (
+    PAGE,
+    TABLE,
+    Item,
+    ItemResult,
+    Result,
+    ResultFolder,
+    campaign_items,
+    csv_table,
+    parse_seeds,
+    run_item,
+)
 from ship_studies.campaign.workers import run_in_cluster, run_in_processes
 
 _MAX_FAILURES_PRINTED = 10

@@ -18,8 +18,7 @@ from ship_node.pages.html_page import render
 from ship_replay.report.consistency import SigmaFit, mean_nees_fit, nees_band
 from ship_replay.report.page import versions
 from ship_replay.report.tables import number
-from ship_studies.campaign.items import InputFile, Item
-from ship_studies.campaign.results import ItemResult
+from ship_studies.campaign.items import InputFile, Item, ItemResult
 
 MAX_WORST_ITEMS = 10
 

@@ -20,8 +20,7 @@ from typing import Any
 
 from ship_bags.command_line import start_worker_process
 from ship_bags.errors import BadInput
-from ship_studies.campaign.items import Item
-from ship_studies.campaign.results import Result, failed_result
+from ship_studies.campaign.items import Item, Result, failed_result
 
 MAX_WORKER_FAILURES = 3
 """Number of worker failures after which an item counts as failed."""

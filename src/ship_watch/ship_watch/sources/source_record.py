@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.rejection_rules import Reason
-from ship_watch.sources.decision_history import MIN_DISPLAY_NS, NO_DISAGREEMENT, DecisionHistory
 from ship_watch.sources.reports import TopicReports
+from ship_watch.sources.source_history import MIN_DISPLAY_NS, NO_DISAGREEMENT, DecisionHistory
 from ship_watch.suite_state import CAUSE_NODE, NisConsistency, Presence, SourceDetails, SourceState
 from ship_watch.topics import source_member
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.safety.limits import Limits
-from ship_watch.sources.decision_history import DecisionHistory
 from ship_watch.sources.reports import TopicReports
+from ship_watch.sources.source_history import DecisionHistory
 from ship_watch.sources.source_record import SourceFault, SourceRecord
 from ship_watch.suite_state import Presence, SourceDetails, SourceState
 from ship_watch.topics import MAX_NAMES, display_order, has_room, source_of_name, source_of_topic

@@ -5,9 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import ship_bags.software_versions
+import ship_bags.provenance
 
-COMMIT_TEXT = "import software_versions; print(software_versions.suite_commit())"
+COMMIT_TEXT = "import provenance; print(provenance.suite_commit())"
 NAMED = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false")
 
 
@@ -22,7 +22,7 @@ def git(folder, *words):
 
 
 def test_only_the_commit_of_its_own_checkout(tmp_path):
-    file = Path(ship_bags.software_versions.__file__)
+    file = Path(ship_bags.provenance.__file__)
     shutil.copy(file, tmp_path)
     assert commit_in(tmp_path) == ""
     git(tmp_path, "init", "-q")
