@@ -110,6 +110,7 @@ class Comparison:
         nis: normalised innovation squared.
         angles_nis: part of ``nis`` due to the angles between the beacons, which no attitude of the telescope explains.
         gain: Kalman gain, shape (n, 2 N).
+        focal_length_m: focal length of the prediction, m.
     """
 
     prediction: Prediction
@@ -118,11 +119,7 @@ class Comparison:
     nis: float
     angles_nis: float
     gain: FloatArray
-
-    @property
-    def focal_length_m(self) -> float:
-        """Focal length of the prediction, m."""
-        return float(self.prediction.camera.focal_length_m)
+    focal_length_m: float
 
 
 class CalibrationFilter:
@@ -332,6 +329,7 @@ class CalibrationFilter:
             nis,
             nis - float(whitened_innovation @ whitened_innovation),
             innovation.gain[0],
+            float(prediction.camera.focal_length_m),
         )
 
 

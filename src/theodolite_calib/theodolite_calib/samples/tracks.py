@@ -128,8 +128,9 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         return BaselineJump(samples[place].time_ns, jump_m, sigma_m)
 
     def _are_joined(self, left: int) -> bool:
-        both_good = self._samples[left].rejection is None and self._samples[left + 1].rejection is None
-        return both_good and super()._are_joined(left)
+        """True if two baselines are valid and close in time; a jump is no cut, because it is a fault of the drone."""
+        start, end = self._samples[left], self._samples[left + 1]
+        return start.rejection is None and end.rejection is None and end.time_ns - start.time_ns <= self.max_gap_ns
 
 
 @dataclass(frozen=True)
