@@ -288,6 +288,7 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_node/*/adapters/result_report.py": ADAPTER_NODES,
     "ship_node/*/adapters/input_processing.py": ADAPTER_NODES,
     "ship_node/*/health/input_health.py": ADAPTER_NODES,
+    "ship_node/*/health/time_base.py": ADAPTER_NODES,
     "ship_node/*/black_box/*.py": ADAPTER_NODES,
     "ship_node/*/live/node_report.py": ADAPTER_NODES | NMEA_NODES | {"alerts"},
     "ship_node/*/live/node_clock.py": ADAPTER_NODES | NMEA_NODES,
