@@ -7,7 +7,7 @@ import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.measurements.kind import SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.measurements.device import SOURCE_INTERPOLATION
 from ship_estimation.innovations.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters.schema import build
 from ship_estimation.time_order.outcome import Status

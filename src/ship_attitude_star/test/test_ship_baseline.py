@@ -14,8 +14,8 @@ from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurements.device import LinearisationPoint
 from ship_attitude_star.ship_attitude.measurements.devices import BASELINE, BaselineMeasurement
-from ship_attitude_star.ship_attitude.measurements.kind import LinearisationPoint
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.parameters.schema import ParameterError, build
 from ship_estimation.rejection_rules import Reason

@@ -1,4 +1,4 @@
-"""Where a result comes from: git commit and versions of the software, and SHA-256 hashes of its code and of bags."""
+"""Provenance of a result: git commit and versions of the software, SHA-256 hashes of its code and of bags."""
 
 import functools
 import hashlib

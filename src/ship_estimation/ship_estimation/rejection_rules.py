@@ -8,15 +8,18 @@ A measurement is checked in this order:
    all reasons for a wrong field. The adapter (``ship_node/adapters/input_processing``): OFF for a source that is
    switched off, CLOCK and FUTURE for a wrong clock;
 3. :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`: LATE;
-4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS, ``plausibility`` of
-   ``ship_attitude_star`` for star sensors and references, ``theodolite_calib/samples/encoder_check`` for encoders):
-   STUCK, UNITS, and GATE for a single sample that jumps. The checks of position and weather (``sky/stamped_values``):
-   DUPLICATE, CONFLICT, LATE and JUMP;
+4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS,
+   :mod:`ship_estimation.plausibility.stuck_check` for star sensors and references,
+   ``theodolite_calib/samples/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample that jumps. The
+   checks of position and weather (``ship_stars/sky/stamped_values``): DUPLICATE, CONFLICT, LATE and JUMP;
 5. :class:`ship_estimation.time_order.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and
    FAILED for defects of the software;
-6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
-   its measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): all others. Single
-   stars: identification, selection and fit (``ship_stars/attitude_from_stars``), and the sky (``ship_stars/sky``).
+6. the filter (``ship_attitude_star/ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``): GATE if the NIS
+   of the innovation exceeds the χ² quantile of ``gate.probability``, EXCLUDED for a source that fault detection has
+   excluded. After repeated rejections GATE becomes ATTITUDE_CONFLICT; lights that contradict each other are in
+   LIGHT_CONFLICT. The measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): GAP
+   without an attitude at its time, and others. Single stars: identification, selection and fit
+   (``ship_stars/attitude_from_stars``), and the sky (``ship_stars/sky``).
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 ``theodolite_calib/triangulation`` rejects pairs of bearings with reasons of 3, 5 and 6.

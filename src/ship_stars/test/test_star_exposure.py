@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.measurements.kind import LinearisationPoint
+from ship_attitude_star.ship_attitude.measurements.device import LinearisationPoint
 from ship_attitude_star.ship_attitude.measurements.prediction import predict_attitude
 from ship_estimation.rejection_rules import Reason
 from ship_geometry.frames import rotation_from_angles

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ship_attitude_star.ship_attitude.measurements.device import Device
 from ship_attitude_star.ship_attitude.measurements.devices import (
     BASELINE,
     BaselineDevice,
@@ -16,7 +17,6 @@ from ship_attitude_star.ship_attitude.measurements.devices import (
     StarCameraDevice,
     TrackerDevice,
 )
-from ship_attitude_star.ship_attitude.measurements.kind import Device
 from ship_attitude_star.vertical.deflection import GravityConfig
 from ship_estimation.innovations.gates import GateConfig
 from ship_estimation.integrity.protection_levels import IntegrityConfig

@@ -15,7 +15,7 @@ from ship_attitude_star.ins_errors.process import InsErrorPropagation, Propagate
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.measurements.kind import SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.measurements.device import SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.model import ALL_STARS, INS, SOURCE_DEFLECTION, SOURCE_INS_NOISE
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.fault_detection.common_error import with_common_error

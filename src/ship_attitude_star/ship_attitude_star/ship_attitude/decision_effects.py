@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
-from ship_attitude_star.ship_attitude.measurements.kind import Device
+from ship_attitude_star.ship_attitude.measurements.device import Device
 from ship_attitude_star.ship_attitude.measurements.prediction import LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, AttitudeResidual, FilterState
 from ship_estimation.fault_detection.exclusion import UnconfirmedStep, with_changes, with_entry, without_entry

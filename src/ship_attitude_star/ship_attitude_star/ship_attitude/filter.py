@@ -8,7 +8,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import SOURCE_STAR_COMMON, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.decision_effects import DecisionEffects
 from ship_attitude_star.ship_attitude.faults.fault_detection import ShipFaultDetector
-from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
+from ship_attitude_star.ship_attitude.measurements.device import ComparedMeasurement
 from ship_attitude_star.ship_attitude.measurements.prediction import (
     Linearisation,
     LinearisedMeasurement,

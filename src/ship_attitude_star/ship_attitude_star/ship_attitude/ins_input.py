@@ -1,7 +1,11 @@
 """INS samples of the ship attitude: checks, track, batches, and the changes that a sample shows in the INS.
 
-A live sample enters at :meth:`InsInput.add`, which the table of
-:mod:`ship_attitude_star.adapters.ship_attitude_adapter` connects with the topic. Offline, the samples of a period are
+A live sample comes from the reader of its message, after the checks of the adapter
+(:mod:`ship_node.adapters.input_processing`), to :meth:`InsInput.add`. There it is checked, added to the time-ordered
+estimator, and corrected by the filter for ``ship/attitude``. ``docs/develop/architecture.md`` lists all files on this
+way ("INS sample → `ship/attitude`").
+
+Offline, the samples of a period are
 available together and are checked in one call. Then the samples are committed in order with the other inputs, so that
 the filter state at each sample equals that of a live node. Finally the attitudes of all samples are computed, together
 for samples with the same filter state.

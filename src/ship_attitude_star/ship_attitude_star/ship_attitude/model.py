@@ -63,7 +63,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.ins_errors.process import GaussMarkovIns, InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.ship_attitude.config import SOURCE_STAR_COMMON, InsConfig, ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.measurements.kind import SOURCE_INTERPOLATION, Device
+from ship_attitude_star.ship_attitude.measurements.device import SOURCE_INTERPOLATION, Device
 from ship_estimation.fault_detection.common_error import common_threshold
 from ship_estimation.fault_detection.subfilters import SubfilterTable
 from ship_estimation.integrity.protection_levels import SigmaMultipliers, sigma_multipliers

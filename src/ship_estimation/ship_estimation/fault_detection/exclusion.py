@@ -1,7 +1,9 @@
-"""Fault detector, which excludes and reinstates the sources of a table, and the state of fault detection.
+"""Exclusion and reinstatement of sources, common to both estimators, and the state of fault detection.
 
-The ship's special cases are in ``ship_attitude/faults/source_exclusion`` of ``ship_attitude_star``, the theodolite's in
-``filter/fault_detection`` of ``theodolite_calib``.
+:mod:`ship_estimation.fault_detection.isolation` finds the faulty source. The ship excludes it in
+``ship_attitude/faults/source_exclusion`` (``ship_attitude_star``), the theodolite in ``filter/fault_detection``
+(``theodolite_calib``); both call :meth:`SourceExclusion.exclude`. :meth:`SourceExclusion.uses` leaves an excluded
+source out of the filters.
 
 The main filter does not use an excluded source, but monitors this source. The source is reinstated after a time of
 consistency. By then the mounting is known, because it is unchanged or was estimated again after a mounting shift.
@@ -42,8 +44,8 @@ from ship_geometry.rotations import FloatArray
 __all__ = [
     "MAX_REMAINING_RATIO",
     "ExcludedSource",
-    "FaultDetector",
     "FaultState",
+    "SourceExclusion",
     "UnconfirmedStep",
     "UnresolvedFault",
     "evaluate_reinstatement",
@@ -297,7 +299,7 @@ def without_entry(mapping: Mapping[str, Value], key: str) -> MappingProxyType[st
 AnyState = TypeVar("AnyState", bound=FaultState)
 
 
-class FaultDetector:
+class SourceExclusion:
     """Fault detection and exclusion for the sources of a table; the state is an argument of every method.
 
     Args:

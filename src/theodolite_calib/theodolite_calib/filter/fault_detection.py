@@ -18,8 +18,8 @@ import numpy as np
 
 from ship_estimation.fault_detection.exclusion import (
     ExcludedSource,
-    FaultDetector,
     FaultState,
+    SourceExclusion,
     UnresolvedFault,
     evaluate_reinstatement,
     with_consistency,
@@ -154,7 +154,7 @@ def isolate_drift_fault(
     return source if source in AXIS_SOURCES else None
 
 
-class AxisFaultDetector(FaultDetector):
+class AxisFaultDetector(SourceExclusion):
     """Fault detector for the sources of a configuration, from the innovations in all filters.
 
     Args:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.faults.source_exclusion import ShipSourceExclusion
-from ship_attitude_star.ship_attitude.measurements.kind import ComparedMeasurement
+from ship_attitude_star.ship_attitude.measurements.device import ComparedMeasurement
 from ship_attitude_star.ship_attitude.model import INS, MIN_SOURCES_FOR_PAIRS
 from ship_attitude_star.ship_attitude.state import FilterState, RecentInnovations, SourceInnovation
 from ship_estimation.fault_detection.common_error import COMMON_ERROR_START_SIGMAS

@@ -4,7 +4,8 @@ Star sensors that contradict the INS together are excluded together, and reinsta
 is gone. An offset that keeps growing is a drift of the INS, which is then excluded in their place. After a mounting
 shift of a single device its mounting is estimated again, and the device is reinstated once it is consistent.
 
-Which source is at fault, and when it is excluded, is decided by
+The state of an exclusion, and how it acts on the filters, is common to both estimators
+(:mod:`ship_estimation.fault_detection.exclusion`). Which source is at fault, and when it is excluded, is decided by
 :mod:`ship_attitude_star.ship_attitude.faults.fault_detection`; an INS whose clock steps is excluded by
 :mod:`ship_attitude_star.ship_attitude.faults.ins_fault_handling`.
 """
@@ -18,13 +19,13 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.faults.ins_fault_handling import InsFaultHandling, is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.measurements.kind import Device
+from ship_attitude_star.ship_attitude.measurements.device import Device
 from ship_attitude_star.ship_attitude.model import INS, ShipStateModel, ShipSubfilters
 from ship_attitude_star.ship_attitude.state import FilterState, shared_rotation
 from ship_estimation.fault_detection.exclusion import (
     MAX_REMAINING_RATIO,
     ExcludedSource,
-    FaultDetector,
+    SourceExclusion,
     evaluate_reinstatement,
     reinstatement_time_s,
     with_changes,
@@ -49,7 +50,7 @@ _DRIFT_SIGMAS = 3.0
 smaller offset is not observable, because an INS without stars may itself have drifted by half of the offset."""
 
 
-class ShipSourceExclusion(FaultDetector):
+class ShipSourceExclusion(SourceExclusion):
     """Exclusion and reinstatement of star sensors, references and INS.
 
     Args:

@@ -1,4 +1,5 @@
-"""Kinds of measurement of the ship filter; each is a device class with ``linearise`` in ``devices``.
+"""Kinds of measurement of the ship filter: a device class with ``linearise`` each, in ``devices`` or in its own file.
 
-``kind`` holds the base class. ``prediction`` holds what all kinds share: predicted attitude and iterated linearisation.
+``device`` holds the base class, and lists the parts of a new kind of sensor. ``prediction`` holds what all kinds share:
+predicted attitude and iterated linearisation.
 """

@@ -1,6 +1,7 @@
 """Devices of all kinds of measurement: attitudes relative to the horizon, single stars, and baselines between antennas.
 
-The base class is in :mod:`ship_attitude_star.ship_attitude.measurements.kind`. Single stars are compared one by one
+The base class, and the parts of a new kind of sensor, are in
+:mod:`ship_attitude_star.ship_attitude.measurements.device`. Single stars are compared one by one
 (:mod:`ship_stars.attitude_from_stars.residuals`). A baseline between two antennas aboard is a direction of the ship in
 the horizon, measured by RTK.
 """
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.measurements.kind import (
+from ship_attitude_star.ship_attitude.measurements.device import (
     SOURCE_INTERPOLATION,
     ComparedMeasurement,
     Device,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.measurements.kind import (
+from ship_attitude_star.ship_attitude.measurements.device import (
     ComparedMeasurement,
     Device,
     InsMatch,

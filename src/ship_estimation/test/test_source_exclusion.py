@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ship_estimation.fault_detection.exclusion import ExcludedSource, FaultDetector, FaultState, UnresolvedFault
+from ship_estimation.fault_detection.exclusion import ExcludedSource, FaultState, SourceExclusion, UnresolvedFault
 from ship_estimation.fault_detection.isolation import initial_means
 from ship_estimation.fault_detection.subfilters import SubfilterTable
 from ship_estimation.innovations.gates import GateConfig
@@ -15,7 +15,7 @@ from ship_geometry.earth.time_scales import SECOND_NS
 TABLE = SubfilterTable(
     ("aft", "fore"), (("aft",), ("fore",), ("ins",)), dict.fromkeys(("aft", "fore", "ins"), 1e-3), IntegrityConfig()
 )
-DETECTOR = FaultDetector(TABLE, 5.0, GateConfig(), IntegrityConfig())
+EXCLUSION = SourceExclusion(TABLE, 5.0, GateConfig(), IntegrityConfig())
 
 
 def excluded_state(measured_s: tuple[int, int]) -> FaultState:
@@ -33,14 +33,14 @@ def excluded_state(measured_s: tuple[int, int]) -> FaultState:
 
 def test_no_filter_uses_an_excluded_source_and_its_subfilter_is_no_candidate() -> None:
     state = excluded_state((0, 0))
-    assert DETECTOR.uses(state).tolist() == [[False, True], [False, True], [False, False], [False, True]]
-    assert DETECTOR.candidates(state) == [TABLE.subfilter_of("fore")]
+    assert EXCLUSION.uses(state).tolist() == [[False, True], [False, True], [False, False], [False, True]]
+    assert EXCLUSION.candidates(state) == [TABLE.subfilter_of("fore")]
     assert state.in_use(TABLE.sources, 5 * SECOND_NS) == ["fore"]
 
 
 def test_timers_restart_after_a_gap_of_their_source_or_of_all_sources() -> None:
     for measured_s, aft, others in (((95, 99), 1, (1, 1)), ((80, 99), None, (1, 1)), ((80, 80), None, (100, None))):
-        after = DETECTOR.restart_timers(excluded_state(measured_s), ("aft", "fore"), 100 * SECOND_NS)
+        after = EXCLUSION.restart_timers(excluded_state(measured_s), ("aft", "fore"), 100 * SECOND_NS)
         assert after.unresolved_fault is not None
         found = after.excluded["aft"], after.excluded["ins"], after.unresolved_fault
         expected = [None if since_s is None else since_s * SECOND_NS for since_s in (aft, *others)]
@@ -48,13 +48,13 @@ def test_timers_restart_after_a_gap_of_their_source_or_of_all_sources() -> None:
 
 
 def test_a_reinstated_source_starts_with_cleared_means_in_the_filters_that_use_it() -> None:
-    after = DETECTOR.reinstate(excluded_state((0, 0)), ("aft", "ins"))
+    after = EXCLUSION.reinstate(excluded_state((0, 0)), ("aft", "ins"))
     assert not after.excluded
     assert after.innovation_means.rejection_counts.tolist() == [[0, 1], [1, 1], [0, 1], [0, 1]]
 
 
 def test_an_exclusion_ends_an_unresolved_fault() -> None:
     state = excluded_state((0, 0))
-    after = DETECTOR.exclude(state, {"fore": ExcludedSource(7)}, initial_means(TABLE.count, 2))
+    after = EXCLUSION.exclude(state, {"fore": ExcludedSource(7)}, initial_means(TABLE.count, 2))
     assert (set(after.excluded), after.unresolved_fault) == ({"aft", "fore", "ins"}, None)
-    assert DETECTOR.is_consistent(after, "fore")
+    assert EXCLUSION.is_consistent(after, "fore")

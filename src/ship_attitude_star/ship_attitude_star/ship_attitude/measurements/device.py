@@ -1,8 +1,8 @@
 """Base class of the devices of all kinds of measurement, and the terms in which a measurement is linearised.
 
-A new kind has a measurement and a subclass of :class:`Device` in this folder, its parameters in
+A new kind of sensor has a measurement and a subclass of :class:`Device` in this folder, its parameters in
 :mod:`ship_attitude_star.ship_attitude.config`, and its reader in :mod:`ship_attitude_star.messages.input_messages`
-(``docs/develop/add_a_sensor.md``).
+(``docs/develop/add_a_sensor.md``). Another sensor of a known kind needs only parameters.
 """
 
 from abc import ABC, abstractmethod
