@@ -6,7 +6,7 @@ little motion. Other sources, the motion references, distinguish the two sensors
 """
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -206,7 +206,7 @@ class StuckChecks:
 
     def __init__(self) -> None:
         self.motion_references: dict[str, MotionReference] = {}
-        self._checks: dict[str, StuckCheck] = {}
+        self._checks: defaultdict[str, StuckCheck] = defaultdict(StuckCheck)
         self._latest_ns: dict[str, int] = {}
 
     def check(
@@ -229,8 +229,6 @@ class StuckChecks:
         # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
             references = {name: reference for name, reference in self.motion_references.items() if name != source}
-            if source not in self._checks:
-                self._checks[source] = StuckCheck()
             if self._checks[source].observe(time_ns, value, sigma_rad, {**references, **by_ins}):
                 return Rejection(Reason.STUCK, f"{description} while other sources rotate")
             if is_attitude:
