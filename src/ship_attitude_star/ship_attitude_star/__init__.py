@@ -5,8 +5,9 @@
 - ``smoothing`` improves attitudes by later measurements.
 - ``star_attitude`` is the core of the node that publishes attitudes by stars; ``ship_attitude`` is the core of the node
   that fuses an INS with attitudes by stars or with single stars.
-- ``plausibility`` checks the inputs; ``ins_errors`` are the error processes of an INS.
+- ``ins_errors`` are the error processes of an INS.
 - ``vertical`` has the deflection of the vertical along the track.
 
-Each room imports only rooms named below it. Sky, camera and star solution are in :mod:`ship_stars`.
+Each room imports only rooms named below it. Sky, camera and attitude from stars are in :mod:`ship_stars`, the
+plausibility checks of the inputs in :mod:`ship_estimation.plausibility`.
 """

@@ -1,6 +1,6 @@
 """Rules by which inputs are rejected, and their reasons, the same for every estimator of the suite.
 
-A measurement is checked in this order:
+A measurement is checked in this order (files without the folder that repeats the name of the package):
 
 1. the live node (``ship_node/live``): BEHIND if it cannot keep up (set in ``ship_node/adapters/node_adapter``),
    OVERFLOW if its inbox is full;
@@ -16,10 +16,12 @@ A measurement is checked in this order:
    FAILED for defects of the software;
 6. the filter (``ship_attitude_star/ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``): GATE if the NIS
    of the innovation exceeds the χ² quantile of ``gate.probability``, EXCLUDED for a source that fault detection has
-   excluded. After repeated rejections GATE becomes ATTITUDE_CONFLICT; lights that contradict each other are in
-   LIGHT_CONFLICT. The measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): GAP
-   without an attitude at its time, and others. Single stars: identification, selection and fit
-   (``ship_stars/attitude_from_stars``), and the sky (``ship_stars/sky``).
+   excluded, NO_FIX without the latitude that the INS model needs, GAP before a jump of the INS. After repeated
+   rejections GATE becomes ATTITUDE_CONFLICT (``ship_attitude/decision_effects``); lights that contradict each other are
+   in LIGHT_CONFLICT. While stars may show a wrong UTC, they are rejected with CLOCK (``ship_attitude/state``). The
+   measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): GAP without an attitude at
+   its time, and others. Single stars: identification, selection and fit (``ship_stars/attitude_from_stars``), and the
+   sky (``ship_stars/sky``).
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 ``theodolite_calib/triangulation`` rejects pairs of bearings with reasons of 3, 5 and 6.

@@ -7,7 +7,8 @@ shift of a single device its mounting is estimated again, and the device is rein
 The state of an exclusion, and how it acts on the filters, is common to both estimators
 (:mod:`ship_estimation.fault_detection.exclusion`). Which source is at fault, and when it is excluded, is decided by
 :mod:`ship_attitude_star.ship_attitude.faults.fault_detection`; an INS whose clock steps is excluded by
-:mod:`ship_attitude_star.ship_attitude.faults.ins_fault_handling`.
+:mod:`ship_attitude_star.ship_attitude.faults.ins_fault_handling`. A source that is rejected again and again is also
+reinstated by :mod:`ship_attitude_star.ship_attitude.decision_effects`, with an inflated covariance.
 """
 
 import math
