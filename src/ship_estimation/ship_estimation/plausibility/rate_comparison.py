@@ -183,7 +183,7 @@ class RateComparison:
         return is_on_line, () if update is None else self.apply_update(update, sample)
 
     def accept(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Accept a checked sample that is not on the line; return the jump that it shows."""
+        """Accept a sample that further checks have confirmed; return the jump that it shows."""
         update = self.step_detector.accept()
         return () if update is None else self.apply_update(update, sample)
 

@@ -104,7 +104,7 @@ class EstimatorModel(Generic[State, MeasurementT, DecisionT, Jump]):
         inflate: returns the state with the covariance inflated for a jump of a source.
         failure_decision: returns the decision about a measurement for which ``step`` raised an exception.
         until_ns: returns the stamp of the last sample that can change a decision.
-        drop_before: drops the data that no measurement at or after a stamp needs; each stamp is later than the last.
+        drop_before: drops the data that no measurement at or after a stamp needs; stamps increase until a reset.
         on_decision: called with each decision, repeated decisions included.
         on_commit: called with the states after committed measurements, in order.
     """
