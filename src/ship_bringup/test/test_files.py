@@ -285,7 +285,7 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "ship_node/*/adapters/recovering_adapter.py": RECOVERING_NODES,
     "ship_node/*/messages/common_messages.py": RECOVERING_NODES,
     "ship_node/*/adapters/node_adapter.py": ADAPTER_NODES,
-    "ship_node/*/adapters/result_report.py": ADAPTER_NODES,
+    "ship_node/*/adapters/adapter_report.py": ADAPTER_NODES,
     "ship_node/*/adapters/input_processing.py": ADAPTER_NODES,
     "ship_node/*/health/input_health.py": ADAPTER_NODES,
     "ship_node/*/health/time_base.py": ADAPTER_NODES,

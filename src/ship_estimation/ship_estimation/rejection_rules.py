@@ -6,7 +6,7 @@ A measurement is checked in this order (files without the folder that repeats th
    OVERFLOW if its inbox is full;
 2. the reader of the message (``messages/`` of each estimator, with the checks of ``ship_node/messages/field_checks``):
    all reasons for a wrong field. The adapter (``ship_node/adapters/input_processing``): OFF for a source that is
-   switched off, CLOCK and FUTURE for a wrong clock;
+   switched off, and by ``ship_node/health/time_base`` CLOCK and FUTURE for a wrong clock;
 3. :class:`ship_estimation.time_order.time_ordered_estimator.LagWindow`: LATE;
 4. the checks of a single stream (:mod:`ship_estimation.plausibility.ins_check` for an INS,
    :mod:`ship_estimation.plausibility.stuck_check` for star sensors and references,

@@ -10,7 +10,7 @@ from ship_estimation.kalman.kalman_filter import StateModel, block
 from ship_estimation.rejection_rules import Reason
 from ship_estimation.time_order.outcome import MeasurementDecision
 from ship_geometry.rotations import ARCSEC
-from ship_node.adapters.result_report import InnovationReport, clock_status
+from ship_node.adapters.adapter_report import InnovationReport, clock_status
 from ship_node.messages.common_messages import Level
 
 STATED = (3.0 * ARCSEC) ** 2 * np.eye(2)

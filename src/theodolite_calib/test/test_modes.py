@@ -37,6 +37,9 @@ def test_a_ship_that_coasts_or_is_degraded() -> None:
     degraded = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == SHIP, status(2)))
     assert {m.status for m in degraded.pointings[20:]} == {Status.DEGRADED}
     assert degraded.state() == coasting.state() == fault_free_run().state()
+    # A degraded attitude does not show that its source is present.
+    assert "ship_attitude" in coasting.adapter.last_usable_ns
+    assert "ship_attitude" not in degraded.adapter.last_usable_ns
 
 
 def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() -> None:

@@ -54,7 +54,7 @@ from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.adapter import BlockFeed, Feed, ignore_time
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
 from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_counts, recovery_status
-from ship_node.adapters.result_report import clock_status
+from ship_node.adapters.adapter_report import clock_status
 from ship_node.health.duplicate_publishers import ATTITUDE
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,

@@ -22,7 +22,7 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.adapters.adapter import DeferringPart, Feed
 from ship_node.adapters.batch_pass import BatchPass
-from ship_node.adapters.result_report import ResultReport
+from ship_node.adapters.adapter_report import AdapterReport
 from ship_node.health.duplicate_publishers import DuplicatePublishers
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.health.time_base import TimeBase, step_text
@@ -81,7 +81,7 @@ def off_statuses(feeds: Iterable[Feed], off_topics: Collection[str]) -> list[Dia
     return [DiagnosticStatus("sources off", Level.WARN, text)] if names else []
 
 
-class InputProcessing(ResultReport):
+class InputProcessing(AdapterReport):
     """Part of an adapter that processes messages; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
 
     Attributes:

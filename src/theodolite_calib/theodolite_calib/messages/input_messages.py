@@ -108,14 +108,13 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
         raise MessageRejected(Reason.GAP, "the source reports INVALID")
     if message.status not in list(Status):
         raise MessageRejected(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
-    quaternion, rate = unit_quaternion(message.orientation), message.angular_velocity
+    rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     rotation_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
+    total_n = _covariance_of_angles(message, rotation_nd) if rotation_enu is None else horizon_covariance(rotation_enu)
+    rate = message.angular_velocity
     # Rates of NaN state that the source has no rate.
     rate_known = not (math.isnan(rate.x) and math.isnan(rate.y) and math.isnan(rate.z))
-    rate_ros = ship_rate(rate) if rate_known else None
-    rotation_nd = rotation_from_quaternion(quaternion)
-    rate_d = None if rate_ros is None else device_vector_from_ros(rate_ros)
-    total_n = _covariance_of_angles(message, rotation_nd) if rotation_enu is None else horizon_covariance(rotation_enu)
+    rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     if total_n is None:
         tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
         slow_n = np.diag([tilt**2, heading**2, tilt**2])
@@ -275,7 +274,7 @@ def _covariance_of_angles(message: Any, rotation_nd: FloatArray) -> FloatArray |
     largest = float(np.max(np.diagonal(total_n)))
     if not largest <= MAX_VARIANCE:
         raise MessageRejected(
-            Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+            Reason.BAD_COVARIANCE, f"covariance: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
         )
     return total_n
 

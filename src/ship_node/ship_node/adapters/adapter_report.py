@@ -1,11 +1,10 @@
 """Reports of an adapter: rejections and failures, overload, innovation diagnoses, integrity and conflicts.
 
 The innovations of a node's sources are diagnosed for its diagnostics. Decisions are collected as they come and
-evaluated once per diagnostics period, so that no measurement waits for statistics. The results of a node that is behind
-its inputs are not published; the overload is reported instead.
+evaluated once per diagnostics period, so that no measurement waits for statistics. Results of the core are reported in
+:mod:`ship_node.adapters.input_processing`.
 """
 
-from abc import ABC
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
@@ -134,7 +133,7 @@ class OverloadReport:
         return DiagnosticStatus("overload", Level.ERROR, self.behind.text(self._node), values)
 
 
-class ResultReport(ABC):
+class AdapterReport:
     """Part of an adapter that makes its reports; see :class:`ship_node.adapters.node_adapter.NodeAdapter`.
 
     Attributes:
