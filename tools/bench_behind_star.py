@@ -15,9 +15,8 @@ from rclpy.serialization import deserialize_message
 from bench_rows import WITH_INTEGRITY, Row, alternate
 from ship_attitude_star.adapters.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_bags.cdr_template import CdrReader
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
-from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_factory import CdrReader, RosidlFactory, message_class
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters.schema import build
 from ship_node.live.adapter_calls import message_bytes

@@ -6,8 +6,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from bench_rows import Row, alternate, median_ratio, median_us
-from ship_bags.cdr_template import CdrReader
-from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_factory import CdrReader, RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_estimation.parameters.ship_devices import InsInputConfig
 from ship_node.messages.sensor_readers import ins_sample

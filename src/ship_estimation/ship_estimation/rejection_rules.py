@@ -16,7 +16,7 @@ A measurement is checked in this order (files without the folder that repeats th
    FAILED for defects of the software;
 6. the filter (``ship_attitude_star/ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``): GATE if the NIS
    of the innovation exceeds the χ² quantile of ``gate.probability``, EXCLUDED for a source that fault detection has
-   excluded, NO_FIX without the latitude that the INS model needs, GAP before a jump of the INS. After repeated
+   excluded. NO_FIX means that the INS model lacks the latitude, GAP that the INS jumped since. After repeated
    rejections GATE becomes ATTITUDE_CONFLICT (``ship_attitude/decision_effects``); lights that contradict each other are
    in LIGHT_CONFLICT. While stars may show a wrong UTC, they are rejected with CLOCK (``ship_attitude/state``). The
    measurement model (``ship_attitude/measurements``, ``theodolite_calib/samples/sighting``): GAP without an attitude at

@@ -52,9 +52,9 @@ from ship_geometry.earth.time_scales import SECOND_NS, StampArray
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.tracks.attitude_track import AttitudeSample
 from ship_node.adapters.adapter import BlockFeed, Feed, ignore_time
+from ship_node.adapters.adapter_report import clock_status
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
 from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_counts, recovery_status
-from ship_node.adapters.adapter_report import clock_status
 from ship_node.health.duplicate_publishers import ATTITUDE
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,

@@ -3,13 +3,14 @@
 The adapter (:mod:`ship_node.adapters.input_processing`) reads a message by ``ins_sample`` of
 :mod:`ship_node.messages.sensor_readers`, checks its clock, and passes the sample to :meth:`InsInput.add`. There it is
 checked (:mod:`ship_estimation.plausibility.ins_check`), added to the time-ordered estimator, and corrected by the
-filter's state for ``ship/attitude`` (``corrected_ins``). A sample is no measurement of the filter, but measurements that
-waited for it are processed then, and a jump or new noise of the INS inflates the covariance. All files on this way, from
-the callback of a live node on, are listed in ``docs/develop/architecture.md`` ("INS sample → `ship/attitude`").
+filter's state for ``ship/attitude`` (``corrected_ins``). A sample is no measurement of the filter, but measurements
+that waited for it are processed then, and a jump or new noise of the INS inflates the covariance. All files on this
+way, from the callback of a live node on, are listed in ``docs/develop/architecture.md`` ("INS sample →
+`ship/attitude`").
 
 Offline, the samples of a period are available together and are checked in one call. Then the samples are committed in
-order with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes of
-all samples are computed, together for samples with the same filter state.
+order with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes
+of all samples are computed, together for samples with the same filter state.
 """
 
 from collections import deque

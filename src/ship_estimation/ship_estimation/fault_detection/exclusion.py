@@ -2,9 +2,9 @@
 
 :mod:`ship_estimation.fault_detection.isolation` finds the faulty source. The ship excludes it in
 ``ship_attitude/faults/source_exclusion`` (``ship_attitude_star``), the theodolite in ``filter/fault_detection``
-(``theodolite_calib``); both call :meth:`SourceExclusion.exclude`. Only all stars together (``exclude_stars``) and an INS
-whose clock steps (``faults/ins_fault_handling``) are excluded by the ship alone. :meth:`SourceExclusion.uses` leaves an
-excluded source out of the filters.
+(``theodolite_calib``); both call :meth:`SourceExclusion.exclude`. Only all stars together (``exclude_stars``) and an
+INS whose clock steps (``faults/ins_fault_handling``) are excluded by the ship alone. :meth:`SourceExclusion.uses`
+leaves an excluded source out of the filters.
 
 The main filter does not use an excluded source, but monitors this source. The source is reinstated after a time of
 consistency. By then the mounting is known, because it is unchanged or was estimated again after a mounting shift.

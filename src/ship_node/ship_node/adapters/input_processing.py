@@ -21,8 +21,8 @@ from ship_estimation.rejection_rules import Reason, Rejection
 from ship_estimation.time_order.outcome import Status
 from ship_geometry.earth.time_scales import SECOND_NS
 from ship_node.adapters.adapter import DeferringPart, Feed
-from ship_node.adapters.batch_pass import BatchPass
 from ship_node.adapters.adapter_report import AdapterReport
+from ship_node.adapters.batch_pass import BatchPass
 from ship_node.health.duplicate_publishers import DuplicatePublishers
 from ship_node.health.input_health import InputHealthMonitor
 from ship_node.health.time_base import TimeBase, step_text

@@ -14,10 +14,10 @@ from ship_estimation.time_order.outcome import Status
 from ship_geometry.frames import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.adapters.adapter import DeferringPart, Feed, ignore_time
+from ship_node.adapters.adapter_report import clock_status
 from ship_node.adapters.input_processing import PRESENCE_REASONS
 from ship_node.adapters.node_adapter import OWN_OUTPUTS
 from ship_node.adapters.recovering_adapter import RecoveringAdapter, recovery_status
-from ship_node.adapters.adapter_report import clock_status
 from ship_node.health.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
 from ship_node.messages.common_messages import (
     BUDGET_TYPE,
