@@ -327,9 +327,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
-        times_ns = np.array(self._times[index + 1 - len(rates) : index + 1])
-        steps_s = (times_ns[1:] - times_ns[:-1])[::-1] / SECOND_NS
-        of_one = rotation_nd[None], np.array([rates]), steps_s[None], np.array([ahead_s])
+        times = self._times
+        steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
+        of_one = rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
         (moved_nd,), (rate_d,), (error_d,) = compiled_rotations.propagate_by_rates(*of_one, *_ERROR_BOUNDS)
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 

@@ -209,12 +209,10 @@ def _node_batch(batch: Batch, outputs: BatchOutputs, input_topics: Set[str]) -> 
     places: list[int] = []
     of_blocks: dict[int, list[int]] = {number: [] for number, (topic, _) in contents.items() if topic in input_topics}
     for place, arrival in enumerate(batch.arrivals):
-        here = [
-            arrival._replace(topic=topic, message=message, block=block)
-            for topic, message, block in forwarded.get(place, ())
-        ]
-        if not arrival.topic or (arrival.topic in input_topics and not arrival.is_empty):
-            here.append(arrival)
+        here = [arrival] if not arrival.topic or (arrival.topic in input_topics and not arrival.is_empty) else []
+        if place in forwarded:
+            outputs_here = forwarded[place]
+            here = [arrival._replace(topic=topic, message=each, block=key) for topic, each, key in outputs_here] + here
         for one in here:
             if one.block is not None:
                 of_blocks[one.block].append(len(arrivals))
@@ -236,6 +234,8 @@ def _forwarded_messages(
         Place → messages in order, each with its topic and the key of its block or None; and the key of each block →
         its topic and its messages. The keys are negative.
     """
+    if not (outputs.messages or outputs.blocks):
+        return {}, {}
     found: list[tuple[int, int, _Forwarded]] = []
     for place, order, published in outputs.messages:
         found += [(place, order, (topic, message, None)) for topic, message in published if topic in input_topics]

@@ -7,6 +7,7 @@ the truth.
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Container, Sequence
+from operator import itemgetter
 from typing import Any, Protocol
 
 import numpy as np
@@ -84,9 +85,9 @@ class OrderedOutput:
         self._sink, self._counts = sink, counts
         self._topics: dict[tuple[str, str], int] = {}
         self.position = 0, 0
-        self._single: list[tuple[int, int, int, int]] = []
-        self._data: list[bytes] = []
-        # Event index, order in the event, topic and log time of each message: single messages, and those of blocks.
+        # Event index and order in the event, topic, log time and bytes of each single message.
+        self._single: list[tuple[tuple[int, int], int, int, bytes]] = []
+        # Event index, order in the event, topic and log time of each message of a block.
         self._rows: list[tuple[StampArray, StampArray, StampArray, StampArray]] = []
         self._row_data: list[bytes] = []
 
@@ -96,8 +97,7 @@ class OrderedOutput:
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Add a serialised message."""
-        self._single.append((*self.position, self._topic(topic, type_name), log_time_ns))
-        self._data.append(data)
+        self._single.append((self.position, self._topic(topic, type_name), log_time_ns, data))
 
     def add_block(self, block: OutputBlock, log_times_ns: StampArray) -> None:
         """Add messages of one topic, with the log time of each; the places are event indices."""
@@ -108,17 +108,17 @@ class OrderedOutput:
 
     def flush(self) -> None:
         """Write all buffered messages."""
-        data = self._data + self._row_data
-        if not data:
-            return
         if not self._rows:
-            self._flush_single()
+            if self._single:
+                self._flush_single()
             return
-        single = np.array(self._single, dtype=np.int64).reshape(-1, 4).T
+        data = [content for *_, content in self._single] + self._row_data
+        numbers = [(*position, topic, log_time_ns) for position, topic, log_time_ns, _ in self._single]
+        single = np.array(numbers, dtype=np.int64).reshape(-1, 4).T
         places, orders, topics, log_times_ns = (
             np.concatenate(columns) for columns in zip(single, *self._rows, strict=True)
         )
-        self._single, self._rows, self._data, self._row_data = [], [], [], []
+        self._single, self._rows, self._row_data = [], [], []
         # The sort is stable: messages with equal keys keep their order.
         order = np.lexsort((orders, places))
         ordered = [data[number] for number in order.tolist()]
@@ -126,11 +126,10 @@ class OrderedOutput:
 
     def _flush_single(self) -> None:
         """Write the buffered messages, of which none is in a block."""
-        order = sorted(range(len(self._data)), key=lambda number: self._single[number][:2])
-        single, data = self._single, self._data
-        self._single, self._data = [], []
-        _, _, topics, log_times_ns = np.array([single[number] for number in order], dtype=np.int64).T
-        self._sink.write_many(list(self._topics), topics, [data[number] for number in order], log_times_ns)
+        # The sort is stable, as that of blocks.
+        _, topics, log_times_ns, data = zip(*sorted(self._single, key=itemgetter(0)), strict=True)
+        self._single = []
+        self._sink.write_many(list(self._topics), np.array(topics), data, np.array(log_times_ns))
 
     def _topic(self, topic: str, type_name: str) -> int:
         return self._topics.setdefault((topic, type_name), len(self._topics))

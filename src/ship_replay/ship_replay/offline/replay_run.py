@@ -89,26 +89,28 @@ class InputReader:
             events: the events in order.
             block_topics: topics whose messages may be given as a block.
         """
-        arrivals = [Arrival(time_ns, time_ns, topic) for time_ns, topic, _ in events]
-        records: dict[str, list[BagRecord]] = defaultdict(list)
-        places: dict[str, list[int]] = defaultdict(list)
-        for place, (_, topic, record) in enumerate(events):
-            if record is not None and not topic.startswith(TRUTH_PREFIX):
-                records[topic].append(record)
-                places[topic].append(place)
+        arrivals: list[Arrival] = []
+        of_blocks: dict[str, dict[int, BagRecord]] = defaultdict(dict)
+        for place, (time_ns, topic, record) in enumerate(events):
+            message = None
+            if topic in block_topics and record is not None:
+                of_blocks[topic][place] = record
+            elif record is not None and not topic.startswith(TRUTH_PREFIX):
+                message = self._decode(topic, record)
+            arrivals.append(Arrival(time_ns, time_ns, topic, message))
         blocks: dict[int, Block] = {}
-        for topic, of_topic in records.items():
-            messages = self.rows(of_topic) if topic in block_topics else None
-            if messages is not None:
-                times_ns = np.array([record.log_time_ns for record in of_topic])
-                key = len(blocks)
-                blocks[key] = Block(topic, messages, times_ns, np.array(places[topic]))
-                self._count_block(blocks[key])
-                for place in places[topic]:
-                    arrivals[place] = arrivals[place]._replace(block=key)
+        for topic, records in of_blocks.items():
+            messages = self.rows(list(records.values()))
+            if messages is None:
+                for place, record in records.items():
+                    arrivals[place] = arrivals[place]._replace(message=self._decode(topic, record))
                 continue
-            for place, record in zip(places[topic], of_topic, strict=True):
-                arrivals[place] = self._decode(arrivals[place], record)
+            times_ns = np.array([record.log_time_ns for record in records.values()])
+            key = len(blocks)
+            blocks[key] = Block(topic, messages, times_ns, np.array(list(records)))
+            self._count_block(blocks[key])
+            for place in records:
+                arrivals[place] = arrivals[place]._replace(block=key)
         return Batch(arrivals, blocks)
 
     def rows(self, records: Sequence[BagRecord]) -> CdrRows | None:
@@ -127,17 +129,17 @@ class InputReader:
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.matching_rows(rows).all() else None
 
-    def _decode(self, arrival: Arrival, record: BagRecord) -> Arrival:
-        topic = arrival.topic
+    def _decode(self, topic: str, record: BagRecord) -> Any:
+        """Return the message, counted in the summary; None if it cannot be decoded."""
         try:
             message = record.decode()
         except BadInput:
             self._summary.undecodable[topic] += 1
-            return arrival
+            return None
         self._summary.inputs[topic] += 1
         self._summary.times.setdefault(topic, MessageTimes()).add(record)
         self._summary.log_delays.add(topic, record)
-        return arrival._replace(message=message)
+        return message
 
     def _count_block(self, block: Block) -> None:
         stamps_ns = stamps_of_rows(block.messages.numbers)
@@ -263,7 +265,7 @@ class ReplayRun:
     def _truth(self, events: Sequence[ReplayEvent]) -> dict[int, AttitudeSample | None]:
         """Return event index → sample of the truth, for truth messages that can be read as a block."""
         found: dict[int, AttitudeSample | None] = {}
-        for errors in self._errors:
+        for errors in self._errors if len(events) >= _MIN_BLOCK else ():
             truth_topic = errors.orientation.truth_topic
             of_topic = {
                 place: record
