@@ -109,8 +109,8 @@ class InputReader:
             key = len(blocks)
             blocks[key] = Block(topic, messages, times_ns, np.array(list(records)))
             self._count_block(blocks[key])
-            for place in records:
-                arrivals[place] = arrivals[place]._replace(block=key)
+            for place, record in records.items():
+                arrivals[place] = Arrival(record.log_time_ns, record.log_time_ns, topic, None, key)
         return Batch(arrivals, blocks)
 
     def rows(self, records: Sequence[BagRecord]) -> CdrRows | None:
