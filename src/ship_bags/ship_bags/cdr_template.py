@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ship_bags.stamps import NS_PER_S
+
 HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little endian. Numbers are aligned relative to its end."""
 
 TEXT = "string"
 STAMP = "builtin_interfaces/msg/Time"
-NS_PER_S = 1_000_000_000
 _LENGTH_BYTES = 4
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from ship_bags.cdr_template import (
-    NS_PER_S,
     STAMP,
     CdrEncoder,
     CdrMessage,
@@ -26,6 +25,7 @@ from ship_bags.cdr_template import (
     FieldType,
     field_error,
 )
+from ship_bags.stamps import NS_PER_S
 
 _TYPE_CODES = {
     "double": "d",

@@ -4,12 +4,13 @@ import math
 import re
 import struct
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_bags.message_factory import MessageFactory
+if TYPE_CHECKING:
+    from ship_bags.message_factory import MessageFactory
 
 NS_PER_S = 1_000_000_000
 
@@ -95,6 +96,6 @@ def duration_text(ns: int) -> str:
     return f"{seconds / length_s:.0f} {unit}"
 
 
-def make_header(factory: MessageFactory, ns: int, frame_id: str = "") -> Any:
+def make_header(factory: "MessageFactory", ns: int, frame_id: str = "") -> Any:
     """Return a std_msgs/Header."""
     return factory.make("std_msgs/msg/Header", stamp=ns, frame_id=frame_id)

@@ -183,7 +183,6 @@ class StampConflicts:
         since_ns: stamp of the first conflict in the last series of each source; each conflict of a series is within ten
             seconds of another.
         duplicate_publishers: stamp since which two publishers of a source send, and a text that names them, by source.
-        is_empty: True if no source has had a conflict or has two publishers.
 
     Example:
         >>> conflicts = StampConflicts()
@@ -220,7 +219,11 @@ class StampConflicts:
         self.duplicate_publishers = {
             source: (NEVER_NS, text) for source, (_, text) in self.duplicate_publishers.items()
         }
-        self.is_empty = not self.duplicate_publishers
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no source has had a conflict or has two publishers."""
+        return not (self.latest_ns or self.duplicate_publishers)
 
     def set_duplicate_publishers(self, source: str, time_ns: int, text: str) -> None:
         """Record that a source has two publishers; an empty text removes the record.
@@ -235,7 +238,6 @@ class StampConflicts:
             self.duplicate_publishers[source] = self.duplicate_publishers.get(source, (since_ns,))[0], text
         else:
             self.duplicate_publishers.pop(source, None)
-        self.is_empty = not (self.latest_ns or self.duplicate_publishers)
 
     def record(self, source: str, time_ns: int, rejection: Rejection | None) -> None:
         """Record the rejection of an input with a stamp if the reason of the rejection is CONFLICT."""
@@ -248,7 +250,6 @@ class StampConflicts:
             if is_new or since_ns - _CONFLICT_HOLD_NS <= time_ns < since_ns:
                 since_ns = time_ns
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
-            self.is_empty = False
 
     def active_at(self, time_ns: int) -> dict[str, int]:
         """Return the sources with a recent conflict, each with the stamp of its last conflict.

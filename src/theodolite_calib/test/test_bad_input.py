@@ -75,6 +75,11 @@ def stamp_zero(message: Any) -> None:
     message.header.stamp.sec = message.header.stamp.nanosec = 0
 
 
+def bad_covariance_and_rate(message: Any) -> None:
+    for path, value in (("rotation_covariance", 0.0), ("covariance", NEGATIVE), ("angular_velocity.x", np.nan)):
+        set_field(path, value)(message)
+
+
 LARGE = 1e4 * np.eye(3).ravel()
 NOT_SYMMETRIC = np.array([1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -96,6 +101,7 @@ DROPPED = [
     ("ship variance negative", SHIP, set_field("rotation_covariance", NEGATIVE), "bad_covariance", "negative"),
     ("ship not symmetric", SHIP, set_field("rotation_covariance", NOT_SYMMETRIC), "bad_covariance", "symmetric"),
     ("ship variance of turns", SHIP, set_field("rotation_covariance", LARGE), "bad_covariance", "full turn"),
+    ("ship variance and rate", SHIP, bad_covariance_and_rate, "bad_covariance", "negative"),
     ("ship frame", SHIP, set_field("header.frame_id", "mast"), "frame", "'mast': expected 'deck'"),
     ("baseline NaN", ALPHA, set_field("enu.x", np.nan), "non_finite", "enu"),
     ("baseline variance negative", ALPHA, set_field("covariance", NEGATIVE), "bad_covariance", "negative"),

@@ -111,13 +111,16 @@ def attitude_messages(
         frames: frame names.
         publish_tf: False to omit the message on /tf.
     """
-    messages = _messages(AttitudeNumbers.from_estimate(estimate), True, rate_sigma, frames, publish_tf)
+    messages = _messages(
+        AttitudeNumbers.from_estimate(estimate), rate_sigma, frames, is_single=True, publish_tf=publish_tf
+    )
     return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> OutputMessage:
     """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
-    (_, type_name, fields), *_ = _messages(AttitudeNumbers.from_estimate(estimate), True, 0.0, frames, False)
+    attitude = AttitudeNumbers.from_estimate(estimate)
+    (_, type_name, fields), *_ = _messages(attitude, 0.0, frames, is_single=True, publish_tf=False)
     return SMOOTHED_TOPIC, factory.encode(type_name, **fields)
 
 
@@ -132,13 +135,15 @@ def attitude_rows(
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
-    return rows_by_kind(
-        factory, kinds, lambda _, places: _messages(attitudes.subset(places), False, rate_sigma, frames, publish_tf)
-    )
+
+    def messages_of(_: Any, places: NDArray[np.int64]) -> MessageFields:
+        return _messages(attitudes.subset(places), rate_sigma, frames, is_single=False, publish_tf=publish_tf)
+
+    return rows_by_kind(factory, kinds, messages_of)
 
 
 def _messages(
-    attitudes: AttitudeNumbers, is_single: bool, rate_sigma: float, frames: FrameNames, publish_tf: bool
+    attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames, *, is_single: bool, publish_tf: bool
 ) -> MessageFields:
     """Return topic, type and fields of each message, for attitudes of equal validity and sources.
 

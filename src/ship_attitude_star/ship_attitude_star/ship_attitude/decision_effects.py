@@ -100,6 +100,7 @@ class DecisionEffects:
             if unconfirmed is not None:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(
+                # Used at any time, even if excluded since.
                 device.is_star and (name in state.last_used_ns or name in state.exclusion_counts)
                 for name, device in self._devices.items()
             ):

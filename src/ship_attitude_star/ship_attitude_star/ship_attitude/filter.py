@@ -349,6 +349,7 @@ class ShipFilter:
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.means[0]
         innovations = subfilter_innovations(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
+        # NaN inflates nothing, and is rejected by the gate afterwards.
         if not (innovations.nis > gate).any():
             return predicted, innovations
         inflated, subfilters = self.fault_detector.ins_fault.inflate_against(

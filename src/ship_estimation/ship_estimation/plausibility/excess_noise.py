@@ -143,8 +143,6 @@ class ExcessNoise:
 
     Attributes:
         found: measured noise during an excess; None without an excess.
-        is_collecting: True while samples are collected: at the start, after a failed step check or a step, and during
-            an excess.
 
     >>> excess, noise = ExcessNoise(1e-5), np.random.default_rng(1).normal(0.0, 3e-5, (201, 3))
     >>> extra = excess.add(noise_sums(10_000_000 * np.arange(201), np.diff(noise, axis=0), longest_ns=2e7))
@@ -154,7 +152,6 @@ class ExcessNoise:
 
     def __init__(self, stated_rad: float) -> None:
         self.found: MeasuredNoise | None = None
-        self.is_collecting = False
         self._stated_rad = stated_rad
         self._sums: deque[NoiseSums] = deque()
         self._collected: deque[tuple[AttitudeSample, IntegratedAttitude]] = deque()
@@ -180,7 +177,12 @@ class ExcessNoise:
         """Drop all samples, for example because the rates have changed or are not measured; :attr:`found` stays."""
         self._sums.clear()
         self._collected.clear()
-        self._last_failure_ns, self.is_collecting = None, self.found is not None
+        self._last_failure_ns = None
+
+    @property
+    def is_collecting(self) -> bool:
+        """True while samples are collected: at the start, after a failed step check or a step, and during an excess."""
+        return self._last_failure_ns is not None or self.found is not None
 
     def start_collecting(self, time_ns: int, usual_rad: float) -> None:
         """Start to collect samples: at the first sample, after a failed step check, or after a detected step.
@@ -191,7 +193,7 @@ class ExcessNoise:
         """
         if self._last_failure_ns is None:
             self._usual_rad = usual_rad
-        self._last_failure_ns, self.is_collecting = time_ns, True
+        self._last_failure_ns = time_ns
 
     @property
     def sigma_rad(self) -> float:
@@ -231,7 +233,7 @@ class ExcessNoise:
         """
         time_ns, collected = sample.time_ns, self._collected
         if self._last_failure_ns is not None and time_ns - self._last_failure_ns > _SHORT_NS:
-            self._last_failure_ns, self.is_collecting = None, self.found is not None
+            self._last_failure_ns = None
         if not self.is_collecting or (collected and collected[-1][1].run != integrated.run):
             collected.clear()
         if not self.is_collecting:
@@ -282,7 +284,7 @@ class ExcessNoise:
         return None
 
     def _start_excess(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
-        before, self.found, self._fastest2, self.is_collecting = self.found, measured, fastest2, True
+        before, self.found, self._fastest2 = self.found, measured, fastest2
         self._sums.clear()
         # The covariance includes one standard deviation of the estimated variance.
         more = 1.0 + _ESTIMATED / math.sqrt(measured.steps)

@@ -310,7 +310,7 @@ class InputProcessing(AdapterReport):
     def step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         self.compute_pending()
-        self.core.step_time_base(step_ns, self.time_base.state_before_step(self.core, waiting_ns))
+        self.core.step_time_base(step_ns, self.time_base.record_step(self.core, waiting_ns))
         self.restart_streams()
         self.health.reset_stamps()
         self.reset_outputs()

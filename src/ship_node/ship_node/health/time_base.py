@@ -186,8 +186,8 @@ class TimeBase:
             return step_ns, Rejection(Reason.CLOCK, _LEAP_SECOND)
         return step_ns, None
 
-    def state_before_step(self, core: Any, waiting_ns: int) -> Any:
-        """Return the core's state from before the step just found, to which the core is reset."""
+    def record_step(self, core: Any, waiting_ns: int) -> Any:
+        """Record the step just found; return the core's state from before it, to which the core is reset."""
         state, before = getattr(core, "state", None), self._state_before
         self._state_before, self._stepped_at_ns = None, waiting_ns
         # Messages from after the step may have been used as late messages from before the step.

@@ -265,7 +265,9 @@ class ReplayRun:
     def _truth(self, events: Sequence[ReplayEvent]) -> dict[int, AttitudeSample | None]:
         """Return event index → sample of the truth, for truth messages that can be read as a block."""
         found: dict[int, AttitudeSample | None] = {}
-        for errors in self._errors if len(events) >= _MIN_BLOCK else ():
+        if len(events) < _MIN_BLOCK:
+            return found
+        for errors in self._errors:
             truth_topic = errors.orientation.truth_topic
             of_topic = {
                 place: record

@@ -110,7 +110,6 @@ class Comparison:
         nis: normalised innovation squared.
         angles_nis: part of ``nis`` due to the angles between the beacons, which no attitude of the telescope explains.
         gain: Kalman gain, shape (n, 2 N).
-        focal_length_m: focal length of the prediction, m.
     """
 
     prediction: Prediction
@@ -119,7 +118,11 @@ class Comparison:
     nis: float
     angles_nis: float
     gain: FloatArray
-    focal_length_m: float
+
+    @property
+    def focal_length_m(self) -> float:
+        """Focal length of the prediction, m."""
+        return float(self.prediction.camera.focal_length_m)
 
 
 class CalibrationFilter:
@@ -329,7 +332,6 @@ class CalibrationFilter:
             nis,
             nis - float(whitened_innovation @ whitened_innovation),
             innovation.gain[0],
-            float(prediction.camera.focal_length_m),
         )
 
 

@@ -108,16 +108,16 @@ def pointing_messages(
         publish_tf: False to omit the message on /tf.
     """
     pointing, in_deck = PointingNumbers.from_estimate(estimate), math.isfinite(estimate.rotation_dm[0, 0])
-    return [
-        (topic, factory.encode(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, in_deck, True, frames, publish_tf)
-    ]
+    messages = _messages(pointing, lever, in_deck, frames, is_single=True, publish_tf=publish_tf)
+    return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
     """Return the message of a smoothed pointing: the first message of :func:`pointing_messages`, on another topic."""
     pointing = PointingNumbers.from_estimate(estimate)
-    (_, type_name, fields), *_ = _messages(pointing, ZERO_VECTOR, False, True, FRAME_NAMES, False)
+    (_, type_name, fields), *_ = _messages(
+        pointing, ZERO_VECTOR, False, FRAME_NAMES, is_single=True, publish_tf=False
+    )
     return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
 
 
@@ -132,19 +132,20 @@ def pointing_rows(
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
-    return rows_by_kind(
-        factory,
-        kinds,
-        lambda kind, at: _messages(pointings.subset(at), lever, kind[1], False, frames, publish_tf),
-    )
+
+    def messages_of(kind: Any, places: NDArray[np.int64]) -> MessageFields:
+        return _messages(pointings.subset(places), lever, kind[1], frames, is_single=False, publish_tf=publish_tf)
+
+    return rows_by_kind(factory, kinds, messages_of)
 
 
 def _messages(
     pointings: PointingNumbers,
     lever: Fields,
     in_deck: bool,
-    is_single: bool,
     frames: FrameNames,
+    *,
+    is_single: bool,
     publish_tf: bool,
 ) -> MessageFields:
     """Return topic, type and fields of the messages of pointings that are all INVALID, or all not INVALID.

@@ -231,7 +231,7 @@ class MeasuredStreams:
         if not (self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns):
             return []
         state, ready = self._estimator.state_now, []
-        is_ship_confirmed = not self.ship_check.unconfirmed_step and self._estimator.stamp_conflicts.is_empty
+        is_ship_confirmed = self.ship_check.unconfirmed_step is None and self._estimator.stamp_conflicts.is_empty
         while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
             sample, reason, sigma_rad = self._waiting_readings.popleft()
             ship = self.tracks.ship_at(sample.time_ns)
